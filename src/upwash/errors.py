@@ -178,6 +178,14 @@ UNREACHED = (
 )  # errors that show the state of the path to a server
 
 
+class NotBegun(LinkError):
+    """An instance did not begin a call in the time that its caller allows: `queue_s` of other calls are before it."""
+
+    def __init__(self, queue_s: float, whose: str = "it") -> None:
+        super().__init__(f"{whose} has {queue_s:.1f} s of calls in its queue")
+        self.queue_s = queue_s
+
+
 class Refused(LinkError):
     """The other side refused the request; the message is its reason."""
 

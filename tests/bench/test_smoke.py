@@ -24,6 +24,7 @@ QUICK = {  # what each prints, among others
     "detector": r"heavy +[\d.]+ ms +[\d.]+ ms +[\d.]+ ms +[\d.]+ +\d+\n",
     "findings": r" 40 m +0° 1.5 m \|( +\d+ \|){1}( +[\d.]+ m +[\d.]+ m +[\d.]+ % \|){2} +[\d.]+ +[\d.]+\n",
     "fleets": r"- look-ahead\n( +[\d.]+)+\n",
+    "fleets_rows": r"8 drones: [\d.]+ s, [\d.]+ s in the model; 1 fields: [\d.]+ of the model .*; 0 blacklistings\n",
     "first_call": r"\| look-ahead \| \+0.5 s \| thesis, .* \| [-+][\d.]+ % \|",
     "gains": r"\| thesis: equal-servers-light, hitl \| [\d.]+ ± [\d.]+ \| [\d.]+ ± [\d.]+ \| = \|",
     "hedging": r"\| no answer \| with \| ([\d.]+ \| ){4}\d+ \| \d+ of \d+ \|",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
@@ -17,9 +18,9 @@ from upwash.core.policies.policy import Local, Remote
 from upwash.core.selection import events
 from upwash.core.selection.lanes import Lanes
 from upwash.drone.calling import CallAnswer, Calling, Invocation
-from upwash.errors import DeadlineExceeded, LinkError, NoLease, Refused, Unreachable
+from upwash.errors import DeadlineExceeded, LinkError, NoLease, NotBegun, Refused, Unreachable
 from upwash.eventlog import schema
-from upwash.rpc.service import spec_of
+from upwash.rpc.service import spec_of, with_queue
 from upwash.sim.loop import run_virtually
 
 
@@ -76,6 +77,9 @@ class Field:
     def remote_s(self, server: str, operation: Operation) -> float | None:
         return None
 
+    def may_queue_s(self, server: str, operation: Operation, deadline_s: float) -> float:
+        return deadline_s
+
     def tell(self, event: object) -> None:
         self.told.append(event)
 
@@ -102,7 +106,7 @@ class Field:
     def deny(self, service: str) -> None:
         self.denied.append(service)
 
-    async def call(self, service: str, method: str, request: bytes, *, deadline_s: float) -> bytes:
+    async def call(self, service: str, method: str, request: bytes, **limits: float) -> bytes:
         return await _given(self.server, self.server_s)
 
     async def _onboard(self, service: str, method: str, request: bytes, **how: Any) -> bytes:
@@ -175,6 +179,26 @@ def test_a_slot_that_was_taken_in_a_call_is_no_failure_of_the_server() -> None:
     field, answer = answered(ALONE, server=NoLease("another drone has it"))
     assert (answer.reply.value, answer.fell_back) == (7, True)
     assert field.told == [events.SlotTaken(CHECK, "another drone has it", in_call=True), COMPUTED]
+
+
+def test_a_call_that_the_server_did_not_begin_is_no_failure_and_the_drone_answers_it() -> None:
+    field, answer = answered(ALONE, server=NotBegun(6.0, "s1"))
+    assert (answer.reply.value, answer.server, answer.fell_back) == (7, None, True)
+    why = "s1 has 6.0 s of calls in its queue"
+    assert field.told == [
+        schema.RemoteQueued(server="s1", check=CHECK, waited_s=0.5, queue_s=6.0, why=why),
+        events.RemoteCallQueued("s1", why, 0.5, 6.0),
+        COMPUTED,
+    ]
+    assert field.known_s == [] and field.cut is None
+
+
+@pytest.mark.parametrize(("stated_s", "queued_s"), [(0.25, 0.25), (99.0, 0.5), (-1.0, 0.0), (math.nan, 0.0)])
+def test_what_a_server_says_of_its_queue_is_told_to_the_core_within_bounds(
+    stated_s: float, queued_s: float
+) -> None:
+    field, _ = answered(ALONE, server=with_queue(VALUE, queued_s=stated_s, queue_s=7e9))
+    assert field.told[0] == events.RemoteCallEnded("s1", OPERATION, 0.5, queued_s=queued_s, queue_s=600.0)
 
 
 @pytest.mark.parametrize("server", [VALUE, FAULT, Unreachable("silent")])

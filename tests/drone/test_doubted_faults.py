@@ -102,10 +102,8 @@ def lying(named: str = "builtins:LookupError") -> Iterator[None]:
     """Every call to a server comes back with that exception."""
     call = ServerSession.call
 
-    async def lie(
-        self: ServerSession, service: str, method: str, request: bytes, *, deadline_s: float
-    ) -> bytes:
-        await call(self, service, method, request, deadline_s=deadline_s)
+    async def lie(self: ServerSession, service: str, method: str, request: bytes, **limits: Any) -> bytes:
+        await call(self, service, method, request, **limits)
         return msgspec.msgpack.encode({"fault": {"type": named, "message": "a lie", "args": ["a lie"]}})
 
     with patch.object(ServerSession, "call", lie):
@@ -194,10 +192,8 @@ def test_a_defect_in_deciding_has_nothing_run_again_that_runs_once(tmp_path: Pat
 
 
 def _slow(call: Any) -> Any:
-    async def slow(
-        self: ServerSession, service: str, method: str, request: bytes, *, deadline_s: float
-    ) -> bytes:
-        reply: bytes = await call(self, service, method, request, deadline_s=deadline_s)
+    async def slow(self: ServerSession, service: str, method: str, request: bytes, **limits: Any) -> bytes:
+        reply: bytes = await call(self, service, method, request, **limits)
         await asyncio.sleep(1.5)
         return reply
 

@@ -25,7 +25,7 @@ from tests.waiting import wait_for
 
 from upwash.errors import DeadlineExceeded, LinkError, NoLease, Refused, Unreachable, UpwashError, UsageError
 from upwash.real.link.link import GrpcDialer, GrpcLink
-from upwash.real.link.listener import DRONE_METADATA, Listener, WhoIs
+from upwash.real.link.listener import DRONE_METADATA, Listener, WhoIs, seconds_of
 from upwash.real.link.requests import Caller, Gate, Handler, Requests
 from upwash.real.trust.credentials import Credentials, server_context
 from upwash.rpc.protocol import AVAILABILITY, LONGEST_REPLY_BYTES, START, STATUS, service_path
@@ -126,6 +126,30 @@ def stuck() -> Iterator[tuple[Stuck, str]]:
 
 def entering(handler: Stuck) -> Coroutine[Any, Any, bool]:
     return asyncio.to_thread(handler.entered.wait, 5.0)
+
+
+# --- the queue of an instance --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("stated", "seconds"),
+    [
+        (None, 0.0),
+        ("", 0.0),
+        ("2.5", 2.5),
+        (b"2.5", 2.5),
+        ("-1", 0.0),
+        ("nan", 0.0),
+        ("inf", 0.0),
+        ("1e999", 0.0),
+        ("1e9", 600.0),
+        ("soon", 0.0),
+        (b"\xff", 0.0),
+        ("9" * 8000, 0.0),
+    ],
+)
+def test_a_time_that_a_peer_states_is_bounded(stated: str | bytes | None, seconds: float) -> None:
+    assert seconds_of(stated) == seconds
 
 
 # --- answers ------------------------------------------------------------------------------------------------

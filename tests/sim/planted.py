@@ -125,11 +125,11 @@ def late_reply_delivered() -> Planting:
     call, late = ServerSession.call, dict[tuple[int, str], bytes]()
 
     async def confused(
-        self: ServerSession, service: str, method: str, request: bytes, *, deadline_s: float
+        self: ServerSession, service: str, method: str, request: bytes, **limits: Any
     ) -> bytes:
         if (old := late.pop((id(self), method), None)) is not None:
             return old
-        reply = await call(self, service, method, request, deadline_s=deadline_s)
+        reply = await call(self, service, method, request, **limits)
         late[id(self), method] = reply
         return reply
 

@@ -1,4 +1,4 @@
-"""Defects planted in the calls of services that only servers run: `planted.py` lists them."""
+"""Defects planted in the calls that servers compute, alone or for several drones: `planted.py` lists them."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from typing import Any
 
 from tests.sim.planting import planted
 
+from upwash.core.selection.events import RemoteCallFailed, RemoteCallQueued, SelectionEvent
 from upwash.drone import api, flight
 from upwash.drone.calling import Invocation
+from upwash.drone.decisions import Decisions
 from upwash.drone.pending import Hearing
 from upwash.drone.server_calls import ServerCalls
 from upwash.rpc.service import NoAnswer, Patience
@@ -35,3 +37,11 @@ async def ends_twice(answer: Any, self: ServerCalls, asked: Invocation, hearing:
     if not isinstance(reply, NoAnswer):
         self.unanswered(asked, "late", 0.0)
     return reply
+
+
+@planted("a queue counts as a failure", Decisions, "tell")
+def blamed_for_a_queue(tell: Any, self: Decisions, event: SelectionEvent) -> None:
+    if isinstance(event, RemoteCallQueued):
+        check = self.selection.servers[event.server].check
+        event = RemoteCallFailed(event.server, check, event.why, event.late)
+    tell(self, event)

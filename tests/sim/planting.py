@@ -26,6 +26,7 @@ DEFECTS: list[Defect] = []
 FOUND_BY_SEED = {
     "a server with a call of the drone overtakes another": 96,
     "a free place takes the last call of the line": 30,
+    "a queue counts as a failure": 185,
     "a resting drone flies from range to range": 85,
     "every call has the patience of a first one": 133,
     "a drone is served after its turn": 34,

@@ -32,19 +32,20 @@ from upwash.core.selection.deadlines import Deadlines
 from upwash.core.selection.hedging import Hedge, Hedging
 from upwash.drone.before_sending import BeforeSending, NotReduced
 from upwash.drone.decisions import Decisions, now_s
-from upwash.drone.line import Turn
+from upwash.drone.line import AT_ONCE, Turn
 from upwash.drone.onboard import OnboardServices
 from upwash.drone.pending import Hearing
 from upwash.drone.radios import RadioWorker, RadioWorkers
 from upwash.drone.server_session import ServerSession
-from upwash.errors import UNREACHED, DeadlineExceeded, LinkError, NoLease, UpwashError
+from upwash.errors import UNREACHED, DeadlineExceeded, LinkError, NoLease, NotBegun, UpwashError
 from upwash.eventlog import schema
 from upwash.ports import Journal
-from upwash.rpc.service import Method
+from upwash.rpc.service import Method, Reply
 from upwash.support.background import begin, end, first
 
 RemoteFault: TypeAlias = Literal["", "confirmed", "denied"]  # by the drone's own service
 _LOCAL_LEAST_S = 30.0
+_QUEUED_S = 1.0  # until a call that only servers compute goes where it was not begun
 _MOMENT_S = 0.001  # before a deadline: a timer may run early
 _LOCAL_FACTOR = 10.0  # times the estimate: a local call that takes longer hangs
 
@@ -107,6 +108,7 @@ class Attempt:
     part_s: float = 0.0  # that the part before sending took
     sent_bytes: int = 0
     raised: str = ""  # the exception of the service that the server reports
+    is_queued: bool = False  # it ended in the server's queue, before it began
     delay_s: float = 0.0  # until that report
     verdict: RemoteFault = ""  # on the report
     twice: Twice | None = None  # its answer is the better one
@@ -222,8 +224,11 @@ class Calling:
         self._losers: dict[asyncio.Task[Any], str | None] = {}
         self._turns = defaultdict[str, asyncio.Lock](asyncio.Lock)  # of the calls of each of its services
 
-    async def answer(self, decision: Decision, call: Invocation) -> CallAnswer:
-        """The answer to a call that runs where the decision says, or on the drone if the server fails."""
+    async def answer(self, decision: Decision, call: Invocation, turn: Turn = AT_ONCE) -> CallAnswer:
+        """The answer to a call that runs where the decision says, or on the drone if the server fails.
+
+        A call that the server does not begin takes its turn on the drone.
+        """
         self._hedging.called(call.operation)
         self._deadlines.called(call.operation)
         if not isinstance(decision, Remote):
@@ -238,6 +243,12 @@ class Calling:
             return await self._answer_hedged(decision, hedge, call)
         attempt = self.attempt(call, decision)
         reply = await self.at_servers(attempt)
+        if reply is None and attempt.is_queued:
+            began_s = now_s()
+            async with turn.on_drone_instead():
+                queued_s = now_s() - began_s
+                answer = await self._fall_back(call, attempt)
+                return structs.replace(answer, queued_s=answer.queued_s + queued_s)
         return await self._fall_back(call, attempt) if reply is None else CallAnswer(reply, call, attempt)
 
     async def by_server(self, decision: Remote, call: Invocation, *, raised_before: bool) -> CallAnswer | str:
@@ -248,6 +259,8 @@ class Calling:
         attempt = self.attempt(call, decision)
         if (reply := await self.at_server(attempt)) is not None:
             return CallAnswer(reply, call, attempt)
+        if attempt.is_queued:
+            await asyncio.sleep(_QUEUED_S)
         if not attempt.raised:
             return ""
         why = f"{attempt.server} says that {call.operation} raised {attempt.raised}"
@@ -353,9 +366,30 @@ class Calling:
                 began_s = now_s()
         try:
             answer = await attempt.session.call(
-                operation.service, operation.method, request, deadline_s=deadline_s
+                operation.service,
+                operation.method,
+                request,
+                deadline_s=deadline_s,
+                may_queue_s=self._decisions.may_queue_s(server, operation, deadline_s),
             )
             reply = method.decode(answer)
+        except NotBegun as told:
+            waited_s = now_s() - began_s
+            attempt.is_queued = True
+            self._journal.record(
+                schema.RemoteQueued(
+                    waypoint=call.waypoint,
+                    server=server,
+                    check=attempt.check,
+                    waited_s=waited_s,
+                    queue_s=told.queue_s,
+                    why=str(told),
+                )
+            )
+            self._decisions.tell(
+                events.RemoteCallQueued(server, str(told), waited_s, told.queue_s, attempt.late)
+            )
+            return None
         except NoLease as error:
             self._decisions.tell(events.SlotTaken(attempt.check, str(error), in_call=True))
             return None
@@ -380,7 +414,12 @@ class Calling:
         less = attempt.sends_less
         self._deadlines.answered(server, operation, delay_s)
         self._hedging.answered(server, operation, delay_s, less=less)
-        self._decisions.tell(events.RemoteCallEnded(server, operation, delay_s, attempt.late, less))
+        queued_s, queue_s = (answer.queued_s, answer.queue_s) if isinstance(answer, Reply) else (0.0, 0.0)
+        self._decisions.tell(
+            events.RemoteCallEnded(
+                server, operation, delay_s, attempt.late, less, min(queued_s, delay_s), queue_s
+            )
+        )
         self._reached(attempt, delay_s, len(answer))
         return reply
 
@@ -670,8 +709,9 @@ class Calling:
 
     def _hold(self, reply: asyncio.Task[Any], attempt: Attempt) -> None:
         """Hold the lane of the server until the reply is there."""
-        expected_s = self._estimates.remote_s(attempt.server, attempt.call.operation)
-        self._decisions.hold(reply, attempt.server, expected_s)
+        expected_s = self._estimates.remote_s(attempt.server, attempt.call.operation) or 0.0
+        queue_s = self._decisions.selection.lanes.queue_s(attempt.server, now_s())
+        self._decisions.hold(reply, attempt.server, queue_s + expected_s)
 
     def _is_free(self, place: str) -> bool:
         return self._decisions.selection.lanes.is_free(place)

@@ -139,6 +139,10 @@ class Decisions:
         """Whether a call that was decided for the server, READY since that check, may still go there."""
         return self.selection.may_send(server, check, now_s=now_s(), position=self._autopilot.position)
 
+    def may_queue_s(self, server: str, operation: Operation, deadline_s: float) -> float:
+        """The seconds within which the server has to begin a call that is sent now, to answer it by its deadline."""
+        return self.selection.may_queue_s(server, operation, deadline_s, now_s=now_s())
+
     def part_failed(self, operation: Operation, why: str) -> None:
         """Tell the core that the part before sending failed, and log it."""
         self.tell(PartFailed(operation.service))

@@ -22,7 +22,7 @@ from functools import partial
 from typing import Literal
 
 from upwash.core.operation import ON_DRONE, Operation, name_of
-from upwash.core.policies.policy import Decision, Remote
+from upwash.core.policies.policy import Decision, Local, Remote
 from upwash.core.selection.call_placement import Place
 from upwash.core.selection.lanes import InLine
 from upwash.drone.decisions import Decisions, now_s
@@ -34,14 +34,16 @@ class Turn:
     """The turn of a call to be decided; `take` gets the decision, None for the drone without one.
 
     With `on_drone` only the drone is free for it, and with `drone_is_busy` only a server. `leave` frees its place
-    before the call is answered. `is_next(server, by_s)` tells whether the server is free for its better answer, of
-    the calls that it can answer by their times; `sends` notes that it is sent there.
+    before the call is answered, and `on_drone_instead` exchanges it for the drone. `is_next(server, by_s)` tells
+    whether the server is free for its better answer, of the calls that it can answer by their times; `sends` notes
+    that it is sent there.
     """
 
     take: Callable[[Decision | None], None]
     on_drone: bool = False
     drone_is_busy: bool = False
     leave: Callable[[], None] = lambda: None
+    on_drone_instead: Callable[[], contextlib.AbstractAsyncContextManager[object]] = contextlib.nullcontext
     is_next: Callable[[str, float], bool] = lambda *_: True
     sends: Callable[[], object] = lambda: None
 
@@ -63,7 +65,7 @@ class CallLine:
     def __init__(self, decisions: Decisions, *, first: Literal["oldest", "newest"]) -> None:
         self._decisions = decisions
         self._lanes = decisions.selection.lanes
-        self._lanes.newest_first = first == "newest"
+        self._lanes.newest_first, self._lanes.has_line = first == "newest", True
         self._is_deciding = False
         self._wanted: dict[object, float] = {}  # calls for a better answer, and by when each must be sent
         self._only_on_drone = False
@@ -105,12 +107,20 @@ class CallLine:
             self._lanes.release(call)
             self._decisions.wake()
 
+        @contextlib.asynccontextmanager
+        async def on_drone_instead() -> AsyncIterator[None]:
+            leave()
+            async with self.turn(operation, urgent=urgent, on_drone=True, since_s=made_s) as turn:
+                turn.take(Local("the server has not begun it"))
+                yield
+
         try:
             yield Turn(
                 take,
                 on_drone=place == "drone",
                 drone_is_busy=not self._lanes.is_free(ON_DRONE),
                 leave=leave,
+                on_drone_instead=on_drone_instead,
                 is_next=partial(self._is_next, call, operation),
                 sends=partial(self._wanted.pop, call, None),
             )
@@ -189,7 +199,7 @@ class CallLine:
         if server is None:
             takes_s = estimates.local_s(self._computed(operation))
         else:
-            takes_s = estimates.remote_s(server, operation)
+            takes_s = self._lanes.queue_s(server, now_s()) + (estimates.remote_s(server, operation) or 0.0)
         return name_of(server), now_s() + (takes_s or 0.0)
 
     def _computed(self, operation: Operation) -> Operation:

@@ -240,7 +240,7 @@ class Offloading:
         waited_s = now_s() - began_s
         turn.take(decision)
         if two is None:
-            answer = await self._calling.answer(decision, call)
+            answer = await self._calling.answer(decision, call, turn)
         else:
             twice = Twice(
                 call.under(two.first), asked_s + two.within_s, hearing, turn, asked_s, call.operation

@@ -42,6 +42,7 @@ from upwash.rpc.protocol import (
     resolve,
     service_path,
 )
+from upwash.rpc.service import may_queue
 
 _ANSWER_S = 5.0  # a daemon answers at once or is in trouble
 _FAREWELL_S = 0.5
@@ -230,15 +231,27 @@ class ServerSession:
                 self._instances[service] = self._dialer.dial(address, server=self._server.name)
                 self._addresses[service] = address
 
-    async def call(self, service: str, method: str, request: bytes, *, deadline_s: float) -> bytes:
-        """Runs one call on the server and returns the encoded reply; raises LinkError."""
+    async def call(
+        self,
+        service: str,
+        method: str,
+        request: bytes,
+        *,
+        deadline_s: float,
+        may_queue_s: float | None = None,
+    ) -> bytes:
+        """Runs one call on the server and returns the encoded reply; raises LinkError.
+
+        Raises NotBegun if the server does not begin it within `may_queue_s`; None: within any time.
+        """
         instance = self._instances.get(service)
         if instance is None:
             raise Refused(f"{self._server.name} does not run {service}")
         self._calls += 1
         self._quiet.clear()
         try:
-            return await instance.request(service_path(service, method), request, timeout_s=deadline_s)
+            sent = request if may_queue_s is None else may_queue(request, may_queue_s)
+            return await instance.request(service_path(service, method), sent, timeout_s=deadline_s)
         except LinkError as error:
             if self._lost:
                 raise Unreachable(f"{self._server.name}: its network was lost: {self._lost}") from error

@@ -242,6 +242,7 @@ _LINES: Mapping[Tone, Mapping[type[Event], str]] = {
         schema.LocalFailed: "local failed: {event.why}",
         schema.SentWhole: "{event.operation} was not made smaller before sending: {event.why}{event.then}",
         schema.RemoteFailed: "remote failed: {event.why}",
+        schema.RemoteQueued: "not begun: {event.why}",
         schema.LeaveFailed: "leave failed: {event.why}",
         schema.SafeEndFailed: "safe end failed: {event.why}",
         schema.DeadManFailed: "dead man failed: {event.why}",

@@ -1003,7 +1003,8 @@ class Decided(Event, frozen=True, kw_only=True, omit_defaults=True):
     `check_elapsed_s` its age. `server` must answer within `deadline_s`; a wait lasts `at_most_s`. With `raced` the
     drone computes the call too. A second decision follows if a server becomes usable during an onboard call.
     `waypoint` is where the mission began the call, if several may be open at the same time. Where a part may run
-    before sending, `remote_s` is the shorter of `whole_s`, with the request sent whole, and `less_s`.
+    before sending, `remote_s` is the shorter of `whole_s`, with the request sent whole, and `less_s`. Before
+    `remote_s` a call may have to wait `queue_s` for calls of other drones.
     """
 
     waypoint: Index | None = None
@@ -1023,6 +1024,7 @@ class Decided(Event, frozen=True, kw_only=True, omit_defaults=True):
     check_elapsed_s: Number | None
     whole_s: Number | None = None
     less_s: Number | None = None
+    queue_s: Number | None = None
     position: Position
 
 
@@ -1149,6 +1151,20 @@ class RemoteFailed(Event, frozen=True, kw_only=True):
 
     server: Text
     check: Count = 0
+    why: Text
+
+
+class RemoteQueued(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """The server did not begin a call in `waited_s`: other calls of `queue_s` come first. The server has not failed.
+
+    `waypoint` is where the mission began the call, if several may be open at the same time.
+    """
+
+    waypoint: Index | None = None
+    server: Text
+    check: Count = 0
+    waited_s: Number
+    queue_s: Number
     why: Text
 
 

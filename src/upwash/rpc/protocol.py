@@ -35,6 +35,11 @@ STATUS = "/upwash.Daemon/Status"
 HEALTH_CHECK = "/grpc.health.v1.Health/Check"
 SERVING = b"\x08\x01"
 
+# gRPC metadata, seconds as text: within what time a call must begin, with the request; how long it waited and what is
+# in the queue now, with the reply. A peer that leaves them out queues calls for as long as their callers wait.
+MAY_QUEUE_METADATA = "upwash-may-queue-s"
+QUEUED_METADATA, QUEUE_METADATA = "upwash-queued-s", "upwash-queue-s"
+
 LONGEST_REPLY_BYTES = 2**16  # of a daemon to a drone: results come from instances
 LONGEST_STATUS_BYTES = 2**20  # of a daemon to an operator
 LEAST_LEASE_S = 2.0  # a drone renews it three times as often

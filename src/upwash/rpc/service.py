@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import enum
 import inspect
+import math
 import sys
 import typing
 from collections.abc import Callable, Iterable, Mapping
@@ -63,6 +64,7 @@ _ONCE = "__upwash_once__"
 _STUB = "__upwash_stub__"
 _MOST_CONCURRENCY = 64  # more threads of one process only wait for each other
 _LONGEST_MESSAGE = 10_000  # characters of an exception's that is too long to send
+_MOST_QUEUE_S = 600.0  # that a peer may state
 _LONGEST_SUMMARY = 200  # characters of an exception that is not raised
 Where: TypeAlias = Literal["anywhere", "servers"]
 
@@ -92,8 +94,40 @@ class ServiceFault(msgspec.Struct, frozen=True):
     args: list[str | int | float | bool | None] | None = None
 
 
-class Reduced(bytes):
+class Request(bytes):
+    """An encoded call that its instance need not begin after `may_queue_s`; None: it waits as long as its caller."""
+
+    may_queue_s: float | None = None
+
+
+class Reduced(Request):
     """A request that a part before sending has changed."""
+
+
+class Reply(bytes):
+    """An encoded reply to a call that waited `queued_s` for others; a new call would have `queue_s` before it."""
+
+    queued_s = 0.0
+    queue_s = 0.0
+
+
+def may_queue(request: bytes, may_queue_s: float) -> Request:
+    """The request, with the seconds within which an instance begins it or refuses it."""
+    made = Reduced(request) if isinstance(request, Reduced) else Request(request)
+    made.may_queue_s = may_queue_s
+    return made
+
+
+def with_queue(reply: bytes, *, queued_s: float, queue_s: float) -> Reply:
+    """The reply, with what its instance says of its queue; 600 s at most count, and none of what is no time."""
+    made = Reply(reply)
+    made.queued_s, made.queue_s = bounded_queue_s(queued_s), bounded_queue_s(queue_s)
+    return made
+
+
+def bounded_queue_s(stated_s: float) -> float:
+    """What counts of the seconds that a peer states."""
+    return min(max(0.0, stated_s), _MOST_QUEUE_S) if math.isfinite(stated_s) else 0.0
 
 
 @dataclass(frozen=True)

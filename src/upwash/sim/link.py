@@ -8,7 +8,15 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from upwash.core.admission.clients import Client
-from upwash.errors import DeadlineExceeded, InstanceError, NoLease, Refused, Unreachable, UpwashError
+from upwash.errors import (
+    DeadlineExceeded,
+    InstanceError,
+    NoLease,
+    NotBegun,
+    Refused,
+    Unreachable,
+    UpwashError,
+)
 from upwash.rpc.service import Reduced
 from upwash.support.background import begin
 from upwash.support.text import printable
@@ -128,6 +136,8 @@ class ModelLink:
             reply = await self._handled(handler, path, body)
         except InstanceError as error:
             raise Unreachable(f"{self._server} at {self._address}: {error}") from error
+        except NotBegun as told:
+            raise NotBegun(told.queue_s, f"{self._server} at {self._address}") from told
         except Refused as refusal:
             known = NoLease if isinstance(refusal, NoLease) else Refused
             raise known(f"{self._server} at {self._address}: {printable(str(refusal))}") from refusal

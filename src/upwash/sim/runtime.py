@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import functools
 import itertools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, Literal, Protocol
 
@@ -15,12 +15,13 @@ from msgspec import inspect as types
 
 from upwash.core.admission.clients import Client
 from upwash.core.admission.instance_gate import InstanceGate
+from upwash.core.admission.queue import CallQueue
 from upwash.core.operation import Operation
-from upwash.errors import InstanceError, Refused, UpwashError
+from upwash.errors import InstanceError, NotBegun, Refused, UpwashError
 from upwash.ports import Answered, AnsweredCall, InstanceSpec, Outcome, ignored
 from upwash.rpc.arrays import array_hint
 from upwash.rpc.protocol import HEALTH_CHECK, SERVING, service_path
-from upwash.rpc.service import Method, Reduced, ServiceSpec, carries_fault
+from upwash.rpc.service import Method, Reduced, Request, ServiceSpec, carries_fault, with_queue
 from upwash.rpc.wire import Encoding
 from upwash.sim.faults import FaultyServer
 from upwash.sim.link import Observe, Switchboard, unobserved
@@ -125,7 +126,9 @@ class ModelInstance:
         self._computer = runtime.computer
         self._switchboard = runtime.switchboard
         self._gate = InstanceGate()
-        self._lanes = asyncio.Semaphore(runtime.lanes or service.concurrency)  # first come, first served
+        lanes = runtime.lanes or service.concurrency
+        self._lanes = asyncio.Semaphore(lanes)  # first come, first served
+        self._queue = CallQueue(lanes)
         self._is_hung = False
         self._under_way = 0
         self._idle = asyncio.Event()
@@ -180,9 +183,10 @@ class ModelInstance:
         if method is None:
             raise Refused(f"no method {path} here")
         self._gate.require(drone)
-        whole_s = _now_s()
-        with self._counted():
-            async with self._lanes:
+        may_queue_s = body.may_queue_s if isinstance(body, Request) else None
+        with self._queued(may_queue_s) as call:
+            whole_s = _now_s()
+            async with self._lane(call, may_queue_s):
                 if self._is_hung:
                     await never()
                 self._require_life()
@@ -191,10 +195,13 @@ class ModelInstance:
                     operation = Operation(self._spec.service, method.name, method.key_of(body))
                 except msgspec.MsgspecError:
                     return method.perform(None, body)[1]  # which says what is wrong with the arguments
+                began_s = _now_s()
+                self._queue.begin(call, now_s=began_s)
                 answered_s, reply = await self._compute(operation, method, body, drone, whole_s)
+                self._queue.end(call, now_s=_now_s())
             await _until(answered_s)
         self._require_life()
-        return reply
+        return with_queue(reply, queued_s=began_s - whole_s, queue_s=self._queue.ahead_s(now_s=_now_s()))
 
     async def _compute(
         self, operation: Operation, method: Method, body: bytes, drone: Client, whole_s: float
@@ -229,14 +236,31 @@ class ModelInstance:
         return answered_s, reply
 
     @contextlib.contextmanager
-    def _counted(self) -> Iterator[None]:
+    def _queued(self, may_queue_s: float | None) -> Iterator[int]:
+        """Count a call from its arrival to its answer; raises NotBegun if it would wait for too long."""
+        call = self._queue.arrive(may_queue_s, now_s=_now_s())
         self._under_way += 1
         try:
-            yield
+            yield call
         finally:
+            self._queue.leave(call)
             self._under_way -= 1
             if not self._under_way:
                 self._idle.set()
+
+    @contextlib.asynccontextmanager
+    async def _lane(self, call: int, may_queue_s: float | None) -> AsyncIterator[None]:
+        """Wait for a lane and hold it; raises NotBegun after a wait of `may_queue_s`."""
+        try:
+            async with asyncio.timeout(may_queue_s if self._lanes.locked() else None):
+                await self._lanes.acquire()
+        except TimeoutError:
+            self._queue.leave(call)
+            raise NotBegun(self._queue.ahead_s(now_s=_now_s())) from None
+        try:
+            yield
+        finally:
+            self._lanes.release()
 
     def _require_life(self) -> None:
         if self._ended.done():

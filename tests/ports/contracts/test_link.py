@@ -12,17 +12,27 @@ from pathlib import Path
 import pytest
 
 from upwash.core.admission.clients import Client
-from upwash.errors import DeadlineExceeded, Refused, Unreachable
+from upwash.errors import DeadlineExceeded, NotBegun, Refused, Unreachable
 from upwash.ports import Link
 from upwash.real.link.direct import DirectLink, DirectListener, direct_pair
 from upwash.real.link.link import GrpcDialer
 from upwash.real.link.listener import Listener
 from upwash.real.link.requests import Caller, Requests
-from upwash.rpc.service import Reduced
+from upwash.rpc.service import Reduced, Reply, Request, may_queue, with_queue
 from upwash.sim.link import ModelDialer, Switchboard
 
 PATH = "/upwash.test/any"
 Hold = Callable[..., AbstractAsyncContextManager[Link]]
+
+
+def queueing(body: bytes, may_queue_s: float | None, reply: bytes) -> bytes:
+    """The reply of an instance that has 2.5 s of calls in its queue, and says so where it is asked."""
+    match body:
+        case b"queue":
+            return with_queue(reply, queued_s=may_queue_s or 0.0, queue_s=2.5)
+        case b"too long":
+            raise NotBegun(2.5)
+    return reply
 
 
 @asynccontextmanager
@@ -33,7 +43,8 @@ async def model_link(folder: Path, *, answered: bool) -> AsyncIterator[Link]:
                 raise Refused("not today")
             case b"stuck":
                 await asyncio.Event().wait()
-        return client.name.encode() + b" " + body
+        may_queue_s = body.may_queue_s if isinstance(body, Request) else None
+        return queueing(body, may_queue_s, client.name.encode() + b" " + body)
 
     link = ModelDialer("heron", Switchboard({"s1": answer} if answered else {})).dial("s1", server="s1")
     yield link
@@ -51,7 +62,7 @@ def requests() -> Iterator[Requests]:
                 raise Refused("not today")
             case b"stuck":
                 let_go.wait(10.0)
-        return caller.client.name.encode() + b" " + body
+        return queueing(body, caller.may_queue_s, caller.client.name.encode() + b" " + body)
 
     try:
         yield Requests(answer, max_message_bytes=1000, concurrent=4, per_drone=4)
@@ -115,6 +126,26 @@ async def test_a_refusal_comes_with_its_reason(link: Link) -> None:
     with pytest.raises(Refused, match=r"s1 at .*not today"):
         await link.request(PATH, b"refuse", timeout_s=5.0)
     assert await link.request(PATH, b"next", timeout_s=5.0) == b"heron next"
+
+
+async def test_an_instance_hears_how_long_a_call_may_queue_and_tells_its_queue(hold: Hold) -> None:
+    if "direct" in str(hold):
+        pytest.skip("the drone's own instances have no calls of other drones")
+    async with hold(answered=True) as link:
+        reply = await link.request(PATH, may_queue(b"queue", 1.5), timeout_s=5.0)
+        assert isinstance(reply, Reply)
+        assert (reply, reply.queued_s, reply.queue_s) == (b"heron queue", 1.5, 2.5)
+        reduced = await link.request(PATH, may_queue(Reduced(b"queue"), 0.25), timeout_s=5.0)
+        assert isinstance(reduced, Reply) and reduced.queued_s == 0.25
+        with pytest.raises(NotBegun, match=r"s1 at .* has 2\.5 s of calls in its queue") as told:
+            await link.request(PATH, may_queue(b"too long", 1.5), timeout_s=5.0)
+        assert told.value.queue_s == 2.5
+
+
+async def test_who_says_nothing_of_a_queue_has_none(link: Link) -> None:
+    reply = await link.request(PATH, b"plain", timeout_s=5.0)
+    assert reply == b"heron plain"
+    assert not isinstance(reply, Reply) or (reply.queued_s, reply.queue_s) == (0.0, 0.0)
 
 
 async def test_no_answer_within_the_deadline(link: Link) -> None:

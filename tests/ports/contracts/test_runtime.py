@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from tests.podman import OwnPodman
 from upwash.config import RuntimeConfig
 from upwash.config.runtime import ContainerNetworkConfig, EngineConfig
 from upwash.core.operation import Operation
-from upwash.errors import InstanceError, LinkError, NoLease, UsageError
+from upwash.errors import InstanceError, LinkError, NoLease, NotBegun, UsageError
 from upwash.ports import AnsweredCall, Dialer, InstanceSpec, Program, Runtime
 from upwash.real.instances.containers import reference_of
 from upwash.real.instances.docker.container import DockerSettings
@@ -30,9 +31,11 @@ from upwash.real.instances.sandbox import Sandbox, find_sandbox
 from upwash.real.link.link import GrpcDialer
 from upwash.real.trust.credentials import Credentials, fingerprint
 from upwash.rpc.protocol import service_path
-from upwash.rpc.service import load_service, spec_of
+from upwash.rpc.service import Reply, load_service, may_queue, spec_of
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.runtime import Computer, ModelRuntime
+
+CALL_S = 0.5
 
 
 class Sure:
@@ -44,6 +47,15 @@ class Sure:
     async def compute(self, spec: InstanceSpec, operation: Operation, *, less: bool = False) -> float:
         """At once."""
         return asyncio.get_running_loop().time()
+
+
+class Slow(Sure):
+    """A computer on which a call takes half a second."""
+
+    async def compute(self, spec: InstanceSpec, operation: Operation, *, less: bool = False) -> float:
+        """Half a second."""
+        await asyncio.sleep(CALL_S)
+        return await super().compute(spec, operation)
 
 
 class Pairs(Sure):
@@ -102,6 +114,19 @@ class Site:
             await link.close()
         return method.result(method.decode(reply))
 
+    async def ask(self, endpoint: str, *, may_queue_s: float | None = None) -> Reply:
+        """The reply to a call that may wait in the queue for as long, over a link of its own."""
+        (name,) = self.spec.methods
+        _, request = spec_of(load_service(self.spec.program.path)).methods[name].encode(self.arguments, {})
+        body = request if may_queue_s is None else may_queue(request, may_queue_s)
+        link = self.dialer.dial(endpoint, server="s1")
+        try:
+            reply = await link.request(service_path(self.spec.service, name), body, timeout_s=10.0)
+        finally:
+            await link.close()
+        assert isinstance(reply, Reply)
+        return reply
+
 
 Sites = AbstractAsyncContextManager[Site]
 
@@ -156,6 +181,16 @@ def duets(request: pytest.FixtureRequest, services: Path, tmp_path: Path) -> Sit
         pairs = Pairs()
         return modelled(spec, pairs, objects={"duet": Witness(pairs)}, arguments=())
     return processes(spec, tmp_path, found_sandbox() if request.param == "sandbox" else None, arguments=())
+
+
+@pytest.fixture(params=[MODEL, "process", SANDBOX])
+def slow_site(request: pytest.FixtureRequest, services: Path, tmp_path: Path) -> Sites:
+    """A site where each call takes half a second."""
+    program, pace_s = Program(f"{services}:Workbench"), {"": CALL_S}
+    spec = InstanceSpec("s1", "workbench", program, pace_s=pace_s, methods=frozenset({"work"}))
+    if request.param == "model":
+        return modelled(spec, Slow())
+    return processes(spec, tmp_path, found_sandbox() if request.param == "sandbox" else None)
 
 
 @asynccontextmanager
@@ -287,6 +322,32 @@ async def test_as_many_calls_as_the_service_declares_are_computed_at_once_and_no
             calls = [await told.get() for _ in range(4)]
         assert {call.drone for call in calls} == duets.heron
         assert all(min(call.queued_s, call.took_s) >= 0.0 for call in calls)
+    finally:
+        await instance.stop()
+
+
+async def test_an_instance_tells_its_queue_and_begins_no_call_too_late(slow_site: Site) -> None:
+    instance = await slow_site.runtime.start(slow_site.spec, called=lambda _: None)
+    ask = functools.partial(slow_site.ask, instance.endpoint)
+    try:
+        await instance.admit(slow_site.heron)
+        first = asyncio.create_task(ask())
+        await asyncio.sleep(0.3 * CALL_S)
+        began_s = asyncio.get_running_loop().time()
+        with pytest.raises(NotBegun):  # nobody knows yet how long calls take, and so it waits
+            await ask(may_queue_s=0.2 * CALL_S)
+        assert asyncio.get_running_loop().time() - began_s >= 0.19 * CALL_S
+        alone = await first
+        assert alone.queued_s < 0.1 and alone.queue_s == 0.0
+
+        first, second = asyncio.create_task(ask()), asyncio.create_task(ask(may_queue_s=5.0))
+        await asyncio.sleep(0.3 * CALL_S)
+        with pytest.raises(NotBegun) as told:
+            await ask(may_queue_s=0.1)
+        assert 0.5 * CALL_S < told.value.queue_s < 2 * CALL_S
+        replies = sorted([await first, await second], key=lambda reply: reply.queued_s)
+        assert replies[0].queued_s < 0.5 * CALL_S < replies[1].queued_s < 2 * CALL_S
+        assert replies[1].queue_s == 0.0 < replies[0].queue_s < 2 * CALL_S
     finally:
         await instance.stop()
 

@@ -33,11 +33,14 @@ class WaitingCall(Struct, frozen=True):
 class Lane(Struct, frozen=True):
     """A lane, which computes one call at a time, and the seconds until it is expected to be free.
 
-    A lane that is longer held than expected is not free, and has 0 s.
+    A lane that is longer held than expected is not free, and has 0 s. A call that is sent to a server now waits
+    `queue_s` for calls of other drones; the latest calls there waited `usual_wait_s` in the mean.
     """
 
     is_free: bool
     free_in_s: float = 0.0
+    queue_s: float = 0.0
+    usual_wait_s: float = 0.0
 
 
 class Line(Struct, frozen=True):
@@ -62,7 +65,7 @@ def earliest(line: Line) -> Take | None:
     """The call that a free lane takes by earliest completion; None if the free lanes take none."""
     calls, drone, server = line.calls, line.drone, line.server
     if server is not None and server.is_free:
-        at_server = [(call.remote_s, call.local_s) for call in calls]
+        at_server = [(server.queue_s + call.remote_s, call.local_s) for call in calls]
         taken = first_taken(at_server, other_in_s=drone.free_in_s)
         if taken is not None and not (
             taken and calls[taken].two_answers
@@ -70,8 +73,9 @@ def earliest(line: Line) -> Take | None:
             return Take(taken, "server")
     if not drone.is_free:
         return None
-    on_drone = [(call.local_s, call.remote_s) for call in calls]
-    taken = first_taken(on_drone, other_in_s=0.0 if server is None else server.free_in_s, in_ties=True)
+    wait_s, free_in_s = (server.usual_wait_s, max(server.free_in_s, server.queue_s)) if server else (0.0, 0.0)
+    on_drone = [(call.local_s, wait_s + call.remote_s) for call in calls]
+    taken = first_taken(on_drone, other_in_s=free_in_s, in_ties=True)
     return None if taken is None else Take(taken, "drone")
 
 

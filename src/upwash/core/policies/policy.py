@@ -113,7 +113,8 @@ class Inputs(Struct, frozen=True):
     `selected` is the server in use. Without one, `selected`, its `state`, the number of its `check` and its estimates
     are None. `check_s` is the expected time of its check, and `check_elapsed_s` the part that is over. If the call is
     `lightened`, the estimates are the lighter operation's. Where a part may run before sending, `remote_s` is the
-    shorter of `whole_s`, with the request sent whole, and `less_s`, with less to send.
+    shorter of `whole_s`, with the request sent whole, and `less_s`, with less to send. Before `remote_s` a call may
+    have to wait `queue_s` for calls of other drones, as far as that is counted apart.
     """
 
     local_s: float | None = None
@@ -126,6 +127,7 @@ class Inputs(Struct, frozen=True):
     lightened: Lightened | None = None
     whole_s: float | None = None
     less_s: float | None = None
+    queue_s: float | None = None
 
     @property
     def sends_less(self) -> bool:

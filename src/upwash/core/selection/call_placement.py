@@ -5,6 +5,7 @@ drone's own service computes them too. A call that runs on the drone is also sen
 
 A lane that a call of the drone holds is not free (lanes.py): nothing is raced, overtaken or sent a second time there.
 Which call in line a free lane takes is up to the policy: by default by earliest completion (planning/earliest.py).
+Calls of other drones that a server has in its queue count as time before a call there, and in the call's deadline.
 
 An operation that only servers run has its place at the server in use, once that is READY, or none yet.
 """
@@ -76,7 +77,13 @@ class CallPlacement:
         return Line([self._waiting(call, *known[call.operation], now_s) for call in calls], drone, at_server)
 
     def _lane(self, place: str, now_s: float) -> Lane:
-        return Lane(self._lanes.is_free(place), self._lanes.rest_s(place, now_s))
+        lanes = self._lanes
+        return Lane(
+            lanes.is_free(place),
+            lanes.rest_s(place, now_s),
+            lanes.queue_s(place, now_s),
+            lanes.usual_wait_s(place),
+        )
 
     def _waiting(self, call: InLine, local_s: float, remote_s: float, now_s: float) -> WaitingCall:
         return WaitingCall(
@@ -146,9 +153,31 @@ class CallPlacement:
             inputs = structs.replace(inputs, whole_s=None, less_s=None)
         else:
             decision = self._policy.decide(self._call(server, operation, local_s, remote_s, now_s))
-        if first is not None and isinstance(decision, Remote) and self._first_s(first, local_s) < remote_s:
-            decision = replace(decision, raced=True)
+        if isinstance(decision, Remote):
+            if first is not None and self._first_s(first, local_s) < remote_s:
+                decision = replace(decision, raced=True)
+            decision = self._behind_queue(decision, operation, now_s)
         return replace(decision, inputs=inputs), []
+
+    def _behind_queue(self, decision: Remote, operation: Operation, now_s: float) -> Local | Remote:
+        """The decision with a deadline that counts the server's queue; Local if the queue is too long for a call."""
+        server, queue_s = decision.server, self._lanes.queue_s(decision.server, now_s)
+        if self._lanes.has_line:  # it has counted the queue: here nothing else may be sooner
+            return replace(decision, deadline_s=decision.deadline_s + self._wait_s(server, now_s))
+        if queue_s > self.may_queue_s(server, operation, decision.deadline_s, now_s):
+            return Local(f"{server} has {queue_s:.1f} s of calls in its queue")
+        return decision
+
+    def may_queue_s(self, server: str, operation: Operation, deadline_s: float, now_s: float) -> float:
+        """The seconds within which the server has to begin a call that is sent now, to answer it by its deadline."""
+        remote_s = self._estimates.remote_s(server, operation) or 0.0
+        if not self._lanes.has_line:
+            return max(0.0, deadline_s - remote_s + self._lanes.usual_wait_s(server))
+        return max(0.0, (deadline_s + self._wait_s(server, now_s) - remote_s) / 2)
+
+    def _wait_s(self, server: str, now_s: float) -> float:
+        """The seconds that a call sent now may have to wait for other drones' calls: what is known, or as usual."""
+        return max(self._lanes.queue_s(server, now_s), self._lanes.usual_wait_s(server))
 
     def _at_server(self, operation: Operation, now_s: float) -> Decision:
         """Remote for a call that only servers compute, or why no server takes it now."""
@@ -162,7 +191,8 @@ class CallPlacement:
             return Local(f"{server.name} is not ready", inputs)
         decision = self._policy.decide(self._call(server, operation, alone_s, remote_s, now_s))
         if isinstance(decision, Remote):
-            decision = replace(decision, raced=False)
+            deadline_s = decision.deadline_s + self._wait_s(server.name, now_s)
+            decision = replace(decision, raced=False, deadline_s=deadline_s)
         return replace(decision, inputs=inputs)
 
     def second(self, operation: Operation, beside: str, now_s: float, *, begins: bool) -> Server | None:
@@ -226,6 +256,7 @@ class CallPlacement:
             check_elapsed_s=now_s - server.checked_since_s,
             whole_s=whole_s,
             less_s=less_s,
+            queue_s=self._wait_s(server.name, now_s) or None if self._lanes.has_line else None,
         )
 
     def decide_after_wait(
@@ -252,6 +283,8 @@ class CallPlacement:
             return None, math.inf
         if not self._lanes.is_free(server.name) or self._is_awaited(now_s):
             return None, math.inf
+        if (queue_s := self._lanes.queue_s(server.name, now_s)) > 0:
+            return None, now_s + queue_s
         local_s = self._estimates.local_s(operation)
         usual_s = self._estimates.usual_s(server.name, operation)
         if local_s is None or usual_s is None or usual_s >= began_s + local_s - now_s:
@@ -282,6 +315,7 @@ class CallPlacement:
             begins_s += max(0.0, (self._check_s(server) or 0.0) - (now_s - server.checked_since_s))
         elif self._recovery is not None:
             begins_s = max(now_s, self._recovery.trial_due_s(server.name, operation))
+        begins_s += self._lanes.queue_s(server.name, now_s)
         if begins_s + remote_s > by_s:
             return None, False
         if server.state is not State.READY or begins_s > now_s or not is_next:

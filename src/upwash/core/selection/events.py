@@ -145,7 +145,8 @@ class PartFailed(SelectionEvent, frozen=True):
 class RemoteCallEnded(SelectionEvent, frozen=True):
     """A call ran on a server; `late` if the drone's own service had answered before.
 
-    With `less` its request was made smaller before, which is part of the delay.
+    With `less` its request was made smaller before, which is part of the delay; another part are the `queued_s` that
+    it waited for calls of other drones. A new call would have `queue_s` of these before it.
     """
 
     server: str
@@ -153,6 +154,18 @@ class RemoteCallEnded(SelectionEvent, frozen=True):
     delay_s: float
     late: bool = False
     less: bool = False
+    queued_s: float = 0.0
+    queue_s: float = 0.0
+
+
+class RemoteCallQueued(SelectionEvent, frozen=True):
+    """The server did not begin a call in `waited_s`: others of `queue_s` come first. The server has not failed."""
+
+    server: str
+    why: str
+    waited_s: float
+    queue_s: float
+    late: bool = False
 
 
 class RemoteCallFailed(SelectionEvent, frozen=True):

@@ -47,6 +47,7 @@ from upwash.core.selection.server_planning import ServerPlanning
 from upwash.core.selection.settings import SelectionSettings, TwoAnswers
 
 _READY = frozenset({State.READY})
+_LEAST_QUEUE_S = 1.0  # of a server that did not begin a call, which is not asked again at once
 _MOST_TURNS_LOST = 2  # in a row, each at a call: a server that gives turns and no answers has failed
 
 
@@ -241,6 +242,10 @@ class Selection:
         self._locate(position, now_s)
         return self._placement.may_send(server, check)
 
+    def may_queue_s(self, server: str, operation: Operation, deadline_s: float, *, now_s: float) -> float:
+        """The seconds within which the server has to begin a call that is sent now, to answer it by its deadline."""
+        return self._placement.may_queue_s(server, operation, deadline_s, now_s)
+
     def outlook(self, *, now_s: float, position: Position) -> Outlook | None:
         """What flying on before the open call is over would save and cost; None if nothing is known."""
         self._locate(position, now_s)
@@ -313,7 +318,11 @@ class Selection:
                 self._planning.answered(now_s)
             case events.PartFailed(service):
                 self.estimates.part_failed(service)
-            case events.RemoteCallEnded(name, operation, delay_s, late, less):
+            case events.RemoteCallEnded(name, operation, delay_s, late, less, queued_s, queue_s):
+                self.lanes.waited(name, queued_s)
+                if self.lanes.has_line:  # else the next call comes much later, and has the usual wait too
+                    self.lanes.queue(name, queue_s, now_s)
+                    delay_s -= queued_s
                 self._learn_remote(name, operation, delay_s, now_s, late=late, less=less)
                 if not late and not self.estimates.needs_server(operation):
                     self._planning.answered(now_s)
@@ -321,6 +330,14 @@ class Selection:
                 return [] if late else self._radios.prefer(self.servers[name], "it answered first")
             case events.RemoteCallCut(name, operation, waited_s, less):
                 self.estimates.observe_remote_cut(name, operation, waited_s, now_s=now_s, less=less)
+            case events.RemoteCallQueued(name, why, waited_s, queue_s, late):
+                self.lanes.queue(name, max(queue_s, _LEAST_QUEUE_S), now_s)
+                if self.lanes.has_line:
+                    self.lanes.waited(name, waited_s + queue_s)
+                if self._recovery is not None:
+                    self._recovery.trial_over(name)
+                if not late:
+                    self._planning.under_way = Local(why)
             case events.RemoteCallFailed(name, check, why, late):
                 self._planning.changed = True
                 if not late:

@@ -21,6 +21,7 @@ from upwash.core.planning.answering import ServerBelief
 from upwash.core.planning.forecast import Forecast, make_forecast, rest_of_check_s
 from upwash.core.planning.legs import Leg, left_m
 from upwash.core.planning.mission_model import ExpectedCall, MissionModel
+from upwash.core.planning.schedule import ComingCall, Offer
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import (
     Choice,
@@ -42,6 +43,7 @@ from upwash.core.selection.recovery import REST_S, Recovery
 from upwash.core.selection.settings import SelectionSettings
 
 _EARLY_S = 10.0  # that a server is prepared before it has to be, as legs and calls take as long as they take
+_STILL_GAINS = 0.99  # of the time on the drone, at most, where another lane serves the drone's line anyway
 _HOLD_S = 15.0  # that its slot is held after the drone should be there
 
 
@@ -284,7 +286,9 @@ class ServerPlanning:
         return [
             Option(
                 server.name,
-                self._estimates.mean_call_s(server.name),
+                self._with_wait_s(
+                    server.name, self._estimates.mean_call_s(server.name), self._estimates.mean_call_s()
+                ),
                 server.in_range_since_s,
                 full=server.is_full(now_s),
                 state=server.state,
@@ -337,10 +341,24 @@ class ServerPlanning:
             banned_s=dict(self._banned(now_s)),
             idle_s=self._settings.idle_s,
         )
-        if not backlog:
-            return forecast
+        if self._lanes.has_line:
+            forecast = replace(forecast, calls=[self._with_waits(call) for call in forecast.calls])
         calls = [call.times(count) for call, count in zip(forecast.calls, backlog.values(), strict=False)]
-        return replace(forecast, calls=[*calls, *forecast.calls[len(calls) :]])
+        return replace(forecast, calls=[*calls, *forecast.calls[len(calls) :]]) if calls else forecast
+
+    def _with_waits(self, call: ComingCall) -> ComingCall:
+        offers = [
+            Offer(
+                offer.server, self._with_wait_s(offer.server, offer.call_s, call.local_s), offer.head_start_s
+            )
+            for offer in call.offers
+        ]
+        return ComingCall(call.local_s, call.gap_s, offers)
+
+    def _with_wait_s(self, server: str, call_s: float, local_s: float) -> float:
+        """The seconds of a call there with the usual wait for others; a server that gains still gains."""
+        wait_s = self._lanes.usual_wait_s(server) if self._lanes.has_line else 0.0
+        return call_s if wait_s == 0 or call_s >= local_s else min(call_s + wait_s, _STILL_GAINS * local_s)
 
     def _banned(self, now_s: float) -> Iterator[tuple[str, float]]:
         for server in self._table.blacklisted:

@@ -101,7 +101,7 @@ def _allowed_too_much(decided: schema.Decided, gain_wait: float, *, patient: boo
             yield decided, f"may wait {decided.at_most_s:.3f} s, worthwhile are {longest_s:.3f} s"
     else:
         expected_s = math.inf if patient else _REMOTE_FACTOR * decided.remote_s
-        longest_s = max(_REMOTE_LEAST_S, min(expected_s, decided.local_s))
+        longest_s = max(_REMOTE_LEAST_S, min(expected_s, decided.local_s)) + (decided.queue_s or 0.0)
         if (deadline_s := deadline_of(decided)) > longest_s + ROUNDING_S:
             yield decided, f"has a deadline of {deadline_s:.3f} s, allowed are {longest_s:.3f} s"
 

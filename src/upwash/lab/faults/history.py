@@ -40,7 +40,7 @@ class History:
 
 @dataclass(frozen=True, slots=True)
 class FlownCall:
-    """One call of the mission, its decisions, and its hedge and second server, or None.
+    """One call of the mission, its decisions, and its hedge, second server and wait in vain in a queue, or None.
 
     A better answer counts `within_s`.
     """
@@ -49,6 +49,7 @@ class FlownCall:
     ended: schema.Call
     hedged: schema.Hedged | None = None
     seconded: schema.Seconded | None = None
+    queued: schema.RemoteQueued | None = None
     within_s: float = 0.0
 
     @property
@@ -100,6 +101,7 @@ def calls_of(events: Sequence[Event], *, within_s: float = 0.0) -> Iterator[Flow
     decisions: dict[int | None, list[schema.Decided]] = {}  # by waypoint, of several open calls
     hedged: dict[int | None, schema.Hedged] = {}
     seconded: dict[int | None, schema.Seconded] = {}
+    queued: dict[int | None, schema.RemoteQueued] = {}
     for event in events:
         if isinstance(event, schema.Decided):
             decisions.setdefault(event.waypoint, []).append(event)
@@ -107,10 +109,13 @@ def calls_of(events: Sequence[Event], *, within_s: float = 0.0) -> Iterator[Flow
             hedged[event.waypoint] = event
         elif isinstance(event, schema.Seconded):
             seconded[event.waypoint] = event
+        elif isinstance(event, schema.RemoteQueued):
+            queued[event.waypoint] = event
         elif isinstance(event, schema.Call):
             call = event.waypoint
             decided = tuple(decisions.pop(call, ()))
-            yield FlownCall(decided, event, hedged.pop(call, None), seconded.pop(call, None), within_s)
+            found = hedged.pop(call, None), seconded.pop(call, None), queued.pop(call, None)
+            yield FlownCall(decided, event, *found, within_s)
 
 
 def may_be_cut_short(history: History) -> bool:

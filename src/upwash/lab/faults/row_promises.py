@@ -114,7 +114,8 @@ def _placed(call: FlownCall) -> Iterator[tuple[schema.Decided, str, float]]:
     place = ON_DRONE if tried[0].raced else tried[0].server or ON_DRONE
     beside = [decided for decided in tried if decided.raced and decided.server == ended.server]
     if ended.first_s is None:
-        yield tried[0], place, ended.t
+        left = call.queued if call.queued is not None and call.queued.server == place else ended
+        yield tried[0], place, left.t
         if beside:
             yield beside[-1], name_of(ended.server), ended.t
         return
@@ -170,9 +171,11 @@ def _may_be_decided(
     alike = [other for other in before if other.operation == begun.operation == event.operation]
     if not alike:
         return True
-    if not _is_beside(event):
-        return False
-    local_s, remote_s = event.local_s or 0.0, event.remote_s or 0.0
+    local_s, remote_s, queue_s = event.local_s or 0.0, event.remote_s or 0.0, event.queue_s or 0.0
+    if not _is_beside(event):  # the drone gets to those before it sooner than the server
+        return queue_s > 0 and len(alike) * local_s - ROUNDING_S <= queue_s + remote_s
+    if queue_s > 0:  # which was another when the server got its last call
+        return len(alike) * remote_s - ROUNDING_S <= local_s
     return two or len(alike) * remote_s - ROUNDING_S <= local_s <= (2 + len(before)) * remote_s + ROUNDING_S
 
 

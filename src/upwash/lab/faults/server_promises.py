@@ -97,15 +97,18 @@ def _leases(facts: Sequence[Observation], *, end_s: float) -> Iterator[Breach]:
                 admitted.pop(fact.service, None)
 
 
-_FULL = "has no free slot"
+_FULL, _QUEUED = "has no free slot", "of calls in its queue"
 _MISSED_S = 3 * ASK_AGAIN_S  # who is not heard for longer has lost its place
 
 
 def turns(history: History) -> Iterator[Breach]:
-    """A wait for a slot is bounded by the turns of those that wait too; no server is blamed for having none."""
+    """A wait for a slot is bounded by the turns of those that wait too; no server is blamed for its other drones."""
     for event in history.run.events:
-        if isinstance(event, (schema.CheckFailed, schema.CallFailedInRange)) and _FULL in event.why:
-            yield event, f"{event.server} is blacklisted because it has no free slot"
+        if isinstance(event, (schema.CheckFailed, schema.CallFailedInRange)):
+            if _FULL in event.why:
+                yield event, f"{event.server} is blacklisted because it has no free slot"
+            if _QUEUED in event.why:
+                yield event, f"{event.server} is blacklisted because calls of others are before a call"
     for server in history.config.servers:
         asked = [
             fact

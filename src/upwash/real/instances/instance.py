@@ -19,13 +19,14 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait
 from queue import SimpleQueue
 from typing import BinaryIO, NoReturn
 
 from upwash.core.admission.instance_gate import InstanceGate
 from upwash.core.admission.limits import Allowance
-from upwash.errors import Refused, UsageError
+from upwash.core.admission.queue import CallQueue
+from upwash.errors import NotBegun, Refused, UsageError
 from upwash.real.instances import control
 from upwash.real.instances.control_credentials import ControlCredentials
 from upwash.real.instances.foreign import ForeignProgram
@@ -36,7 +37,7 @@ from upwash.real.link.proxy import GrpcSocket, open_proxy
 from upwash.real.link.requests import Caller, Requests
 from upwash.real.link.streams import listening_socket
 from upwash.rpc.protocol import service_path
-from upwash.rpc.service import Method, carries_fault, load_service, spec_of
+from upwash.rpc.service import Method, carries_fault, load_service, spec_of, with_queue
 from upwash.rpc.settings import construct
 from upwash.support.background import thread
 from upwash.support.heat import Heat
@@ -74,7 +75,8 @@ class ServiceInstance:
         self._reporting = threading.Lock()
         self._calls = ThreadPoolExecutor(spec.concurrency, "upwash-call")
         self._gate = InstanceGate()
-        self._sharing = threading.Lock()  # for the heat and the pace of reports
+        self._queue = CallQueue(spec.concurrency)
+        self._sharing = threading.Lock()  # for the queue, the heat and the pace of reports
         self._reports = Allowance(control.MOST_REPORTS_PER_S, at_once=control.MOST_REPORTS_PER_S)
         self._is_announced = begin.is_announced
         requests = Requests(
@@ -127,27 +129,50 @@ class ServiceInstance:
         self._gate.require(caller.client)
 
     def _answer(self, path: str, body: bytes, caller: Caller) -> bytes:
-        """Have the call computed in a thread of the service's; calls queue in the order of their last byte."""
+        """Have the call computed in a thread of the service's; calls queue in the order of their last byte.
+
+        Raises NotBegun if the call does not begin in the time that its caller allows.
+        """
         whole_s = time.monotonic()
+        with self._sharing:
+            number = self._queue.arrive(caller.may_queue_s, now_s=whole_s)
         try:
-            call = self._calls.submit(self._perform, self._methods[path], body, caller, whole_s)
+            call = self._calls.submit(self._perform, self._methods[path], body, caller, whole_s, number)
             call.add_done_callback(self._report_answer)
         except RuntimeError:  # no calls are taken any more
             raise Refused(self._gate.closed) from None
         try:
-            return call.result()[0]
+            wait([call], caller.may_queue_s)
+            if not call.done() and call.cancel():
+                raise NotBegun(self._behind(number))
+            reply, report = call.result()
         except CancelledError:  # while it waited for its turn
             raise Refused(self._gate.closed) from None
+        finally:
+            queue_s = self._behind(number)
+        return with_queue(reply, queued_s=report.queued_s, queue_s=queue_s)
 
-    def _perform(self, method: Method, body: bytes, caller: Caller, whole_s: float) -> _Performed:
+    def _behind(self, number: int) -> float:
+        """Let the call leave the queue; return the seconds that a new call has before it."""
+        with self._sharing:
+            self._queue.leave(number)
+            return self._queue.ahead_s(now_s=time.monotonic())
+
+    def _perform(
+        self, method: Method, body: bytes, caller: Caller, whole_s: float, number: int
+    ) -> _Performed:
         self._gate.require_still(caller.client)  # now that the call has arrived and its turn has come
         if not caller.is_waiting():
             raise Refused("the caller has hung up")
         drone, began_s = caller.client.key, time.monotonic()
+        with self._sharing:
+            self._queue.begin(number, now_s=began_s)
         self._report(control.Called(drone))
         key, reply = self._compute(method, body)
         short_s = self._least_s(key, method.name, began_s) - (time.monotonic() - began_s)
         time.sleep(max(0.0, short_s))
+        with self._sharing:
+            self._queue.end(number, now_s=time.monotonic())
         return reply, control.Answered(
             drone=drone,
             method=method.name,

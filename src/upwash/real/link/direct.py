@@ -137,7 +137,8 @@ class DirectListener:
         caller = Caller(Client(request.drone), lambda: None, lambda: number in self._waited_for)
         reply: _Reply
         try:
-            reply = DirectReply(number, self._requests.answer(request.path, caller, lambda: request.body))
+            answer = self._requests.answer(request.path, caller, lambda: request.body)
+            reply = DirectReply(number, bytes(answer))
         except BaseException as error:  # noqa: BLE001 - a defect of the handler must not end the listener
             reply = DirectRefusal(number, words_for_caller(error))
         self._waited_for.discard(number)
@@ -170,7 +171,7 @@ class DirectLink:
         number = next(self._numbers)
         self._requests.write(frame(DirectRequest(number, self._drone, path, bytes(body))))
         match await self._reply(number, timeout_s):
-            case DirectReply(_, reply):
+            case DirectReply(_, bytes(reply)):
                 return reply
             case DirectRefusal(_, why):
                 raise Refused(f"{self._peer}: {printable(why, _LONGEST_REASON)}")

@@ -18,8 +18,8 @@ from typing import Any
 import grpc
 import msgspec
 
-from upwash.errors import DeadlineExceeded, LinkError, NoLease, Refused, Unreachable
-from upwash.real.link.listener import DRONE_METADATA, NOT_INFLATED
+from upwash.errors import DeadlineExceeded, LinkError, NoLease, NotBegun, Refused, Unreachable
+from upwash.real.link.listener import DRONE_METADATA, NOT_INFLATED, seconds_of
 from upwash.real.link.requests import too_large
 from upwash.real.link.way import LARGE_BYTES, Way
 from upwash.real.trust.credentials import Credentials, at_second
@@ -27,9 +27,13 @@ from upwash.rpc.protocol import (
     HEALTH_CHECK,
     LONGEST_REPLY_BYTES,
     LONGEST_STATUS_BYTES,
+    MAY_QUEUE_METADATA,
+    QUEUE_METADATA,
+    QUEUED_METADATA,
     STATUS,
     service_path,
 )
+from upwash.rpc.service import Request, with_queue
 from upwash.support.background import only_logged, thread
 from upwash.support.text import printable
 
@@ -187,7 +191,7 @@ class GrpcLink:
         self._looked_for = False  # as TCP did not connect
         self._peer = peer
         self._max_message_bytes = max_message_bytes
-        self._metadata = ((DRONE_METADATA, drone),)
+        self._metadata: tuple[tuple[str, str], ...] = ((DRONE_METADATA, drone),)
         self._under_way: set[Callable[[], None]] = set()  # wakes each request
         self._closed = False
 
@@ -275,7 +279,10 @@ class GrpcLink:
             with contextlib.suppress(RuntimeError):  # the loop is closed: nothing waits any more
                 loop.call_soon_threadsafe(settle)
 
-        call = method.future(bytes(body), timeout=timeout_s, metadata=self._metadata)
+        metadata = self._metadata
+        if isinstance(body, Request) and body.may_queue_s is not None:
+            metadata += ((MAY_QUEUE_METADATA, f"{body.may_queue_s:.3f}"),)
+        call = method.future(bytes(body), timeout=timeout_s, metadata=metadata)
         call.add_done_callback(wake)
         deadline = loop.call_later(timeout_s, settle)
         self._under_way.add(settle)
@@ -290,9 +297,13 @@ class GrpcLink:
         if not call.done():
             call.cancel()
             raise self._is_closed() if self._closed else self._is_late(timeout_s)
+        told = dict(call.trailing_metadata() or ())
+        queue_s = seconds_of(told.get(QUEUE_METADATA))
         if call.code() is grpc.StatusCode.OK:
-            reply: bytes = call.result()
-            return reply
+            queued_s = seconds_of(told.get(QUEUED_METADATA))
+            return with_queue(call.result(), queued_s=queued_s, queue_s=queue_s)
+        if call.code() is grpc.StatusCode.OUT_OF_RANGE:
+            raise NotBegun(queue_s, self._peer)
         raise self._error(path, call.code(), printable(call.details() or ""), timeout_s)
 
     def _is_closed(self) -> Unreachable:

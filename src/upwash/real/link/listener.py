@@ -11,9 +11,10 @@ from typing import Any
 import grpc
 
 from upwash.core.admission.clients import Client
-from upwash.errors import NoLease, Refused, UpwashError, UsageError
+from upwash.errors import NoLease, NotBegun, Refused, UpwashError, UsageError
 from upwash.real.link.requests import Caller, Requests, words_for_caller
-from upwash.rpc.protocol import HEALTH_CHECK, SERVING
+from upwash.rpc.protocol import HEALTH_CHECK, MAY_QUEUE_METADATA, QUEUE_METADATA, QUEUED_METADATA, SERVING
+from upwash.rpc.service import Reply, bounded_queue_s
 from upwash.support.text import printable
 
 DRONE_METADATA = "upwash-drone"  # names the caller where no certificate does: on a unix socket or on loopback
@@ -143,10 +144,22 @@ class _Handlers(grpc.GenericRpcHandler):  # type: ignore[misc]
         return grpc.stream_unary_rpc_method_handler(functools.partial(self._answer, path))
 
     def _answer(self, path: str, bodies: Iterator[bytes], context: grpc.ServicerContext) -> bytes:
-        caller = Caller(self._client(context), context.time_remaining, context.is_active)
+        stated = dict(context.invocation_metadata()).get(MAY_QUEUE_METADATA)
+        may_queue_s = None if stated is None else seconds_of(stated)
+        caller = Caller(self._client(context), context.time_remaining, context.is_active, may_queue_s)
         try:
-            return self._requests.answer(path, caller, lambda: self._whole(bodies))
+            reply = self._requests.answer(path, caller, lambda: self._whole(bodies))
+            if isinstance(reply, Reply):
+                context.set_trailing_metadata(
+                    (
+                        (QUEUED_METADATA, f"{reply.queued_s:.3f}"),
+                        (QUEUE_METADATA, f"{reply.queue_s:.3f}"),
+                    )
+                )
+            return bytes(reply)  # gRPC sends no bytes of another class
         except BaseException as error:  # noqa: BLE001 - a defect of the handler must not end the listener
+            if isinstance(error, NotBegun):
+                context.set_trailing_metadata(((QUEUE_METADATA, f"{error.queue_s:.3f}"),))
             context.abort(_status_of(error), words_for_caller(error))
         raise AssertionError("abort raises")
 
@@ -164,11 +177,21 @@ class _Handlers(grpc.GenericRpcHandler):  # type: ignore[misc]
             raise Refused(f"it did not arrive whole: broken off, empty, or larger than {most}") from None
 
 
+def seconds_of(stated: str | bytes | None) -> float:
+    """The seconds that a peer states in metadata; 0 for what is no time, and for none."""
+    try:
+        return bounded_queue_s(float(stated or 0.0))
+    except ValueError:
+        return 0.0
+
+
 def _status_of(error: BaseException) -> grpc.StatusCode:
     """gRPC's code for an error. Drones of a version without turns treat both of the first two as a refusal."""
     match error:
         case NoLease():
             return grpc.StatusCode.PERMISSION_DENIED
+        case NotBegun():  # which gRPC never sends by itself
+            return grpc.StatusCode.OUT_OF_RANGE
         case Refused():
             return grpc.StatusCode.FAILED_PRECONDITION
         case UpwashError():

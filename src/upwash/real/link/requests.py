@@ -20,11 +20,15 @@ _log.addFilter(RateLimitedLog())
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """The sender of a request, the seconds left for its answer, if known, and whether the sender still waits."""
+    """The sender of a request, the seconds left for its answer, if known, and whether the sender still waits.
+
+    A call need not begin after `may_queue_s`; None: it waits for any time.
+    """
 
     client: Client
     time_left_s: Callable[[], float | None]
     is_waiting: Callable[[], bool]
+    may_queue_s: float | None = None
 
 
 Handler = Callable[[str, bytes, Caller], bytes]
