@@ -18,6 +18,7 @@ QUICK = {  # what each prints, among others
     "baselines": r"\| waits \| 3 \| .*\n(.*\n)*.*\| 10 % \|( -?[\d.]+ /?){3}\|(.*\n)*\| 2, same field, 2 servers \|",
     "batches": r"\nheavy +[\d.]+ ms( +[\d.]+){3}\n",
     "call": r"upwash, on the server, mutual TLS +[\d.]+ ms +[\d.]+\n",
+    "deadline_bounds": r"\| one \| log-normal, 0.988 in time \| 300 \| [\d.]+ % \| [\d.]+ % \|",
     "decide": r"range everywhere +median [\d.]+ ms",
     "demands": r"\| 3 %, corner 80 % \| 4 s( \| -?[\d.]+ ± [\d.]+ %){4} \|\n",
     "detector": r"heavy +[\d.]+ ms +[\d.]+ ms +[\d.]+ ms +[\d.]+ +\d+\n",
