@@ -33,6 +33,7 @@ QUICK = {  # what each prints, among others
     "only_servers": r"\| rows \| 40 m \| [\d.]+ of 121 \|( [\d.]+ s \|){2}( [\d.]+ \|){3} [\d.]+ s \|\n",
     "placement": r"\| thesis( \| [\d.]+ s){3} \| \d+ of 300 \|\n",
     "rows": r"10 %( \| [\d.]+){5}\n1,485 photos .*\n4 m/s \|  \|  \| [\d.]+ \|  \| \n",
+    "rows_choices": r"\| `photos\.order = \"newest\"` \| 2 \| -?[\d.]+ ± [\d.]+ % \| \d \| \d \|",
     "rows_rules": r"beside the model, all \(2\): [-+][\d.]+% in the mean",
     "sharing": r"adjacent fields, 4 servers.*\n.*bound\n +1( +[\d.]+ / [\d.]+ / [\d.]+){4} +[\d.]+\n",
     "simulate": r"- servers, all near\n( +[\d.]+)+\n",
