@@ -1,14 +1,16 @@
 """How often the intervals of `upwash whatif` hold: flights in drawn worlds, predicted from the log of another policy.
 
 Each drawn world of one drone that stops is flown under one policy, whose log predicts the others. The truth is the
-same world under the other policy with another seed: other delays, and the same answers that demand an action.
+same world under the other policy with another seed: other delays, and the same answers that demand an action. Each
+kind of worlds has as many pairs.
 """
 
 from __future__ import annotations
 
 import itertools
 import logging
-from collections.abc import Iterator, Sequence
+import random
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -32,16 +34,44 @@ FIRST = 200_001
 OTHER_SEED = 1_000_000
 
 
+def _calm(document: Document, _: random.Random) -> Document:
+    return {key: table for key, table in document.items() if key not in ("heat", "fault", "event")}
+
+
+def _heated(document: Document, chance: random.Random, *, load_w: float = 4.0) -> Document:
+    """The drone's computer is busy with calls of 8 to 15 s for much of the time."""
+    (detector,) = document["service"]
+    heavy_s = chance.uniform(8.0, 15.0)
+    return {
+        **document,
+        "mission": {**document["mission"], "mode": "heavy"},
+        "service": [{**detector, "local_call_s": {"light": heavy_s / 3, "heavy": heavy_s}}],
+        "heat": {"ambient_c": chance.uniform(20.0, 50.0), "load_w": load_w},
+    }
+
+
+KINDS: Mapping[str, Callable[[Document, random.Random], Document | None]] = {  # None: another world
+    "as drawn": lambda document, _: document,
+    "no heat, faults and demands": _calm,
+    "a computer in heat, 4 W": _heated,
+    "a computer in heat, 2 to 4 W": lambda world, chance: _heated(world, chance, load_w=chance.uniform(2, 4)),
+    "a computer in heat, 5 to 8 W": lambda world, chance: _heated(world, chance, load_w=chance.uniform(5, 8)),
+    "faults": lambda document, _: document if document.get("fault") else None,
+    "demands": lambda document, _: document if document.get("event") else None,
+}
+
+
 @dataclass(frozen=True)
 class Pair:
     """A log and another policy: the times (s) that were flown, predicted and true."""
 
+    kind: str
     world: int
     log: str
     flown_s: float
     predicted: Prediction
     true_s: float
-    features: str
+    notes: Sequence[str]
 
     @property
     def holds(self) -> bool:
@@ -52,7 +82,8 @@ class Pair:
 def main() -> None:
     """Prints the coverage of the intervals, their widths, and whether the order is right."""
     parser = command_line("whatif", __doc__)
-    parser.add_argument("--pairs", type=int, default=1000)
+    parser.add_argument("--pairs", type=int, default=100, help="of each kind")
+    parser.add_argument("--kind", choices=KINDS, help="only that kind")
     parser.add_argument("--first", type=int, default=FIRST, help="the first world")
     parser.add_argument("--draws", type=int, default=DRAWS, help="replays for each prediction")
     parser.add_argument("--workers", type=int, default=1)
@@ -61,28 +92,33 @@ def main() -> None:
     wanted, draws = (3, 5) if options.quick else (options.pairs, options.draws)
     logging.disable()  # of the servers' faults
     print(machine())
-    worlds = [(number, draws) for number in range(options.first, options.first + wanted + 10)]
     pairs: list[Pair] = []
     refused: list[str] = []
-    with processes.here_first(pairs_of, worlds, workers=options.workers) as found:
-        for of_world, why in found:
-            pairs += of_world
-            refused += [why] if why else []
-            if options.rows and of_world:
-                with options.rows.open("ab") as file:
-                    file.writelines(msgspec.json.encode(pair) + b"\n" for pair in of_world)
-            if len(pairs) >= wanted:
-                break
+    for kind in [options.kind] if options.kind else list(KINDS)[: 1 if options.quick else None]:
+        worlds = [(kind, number, draws) for number in range(options.first, options.first + 4 * wanted)]
+        of_kind: list[Pair] = []
+        with processes.here_first(pairs_of, worlds, workers=options.workers) as found:
+            for of_world, why in found:
+                of_kind += of_world
+                refused += [why] if why else []
+                if len(of_kind) >= wanted:
+                    break
+        print(_line(kind, of_kind), flush=True)
+        pairs += of_kind
+    if options.rows:
+        options.rows.write_bytes(b"".join(msgspec.json.encode(pair) + b"\n" for pair in pairs))
     for line in summary(pairs):
         print(line)
     for why in sorted(set(refused)):
         print(f"refused: {refused.count(why)} worlds: {why}")
 
 
-def pairs_of(part: tuple[int, int]) -> tuple[list[Pair], str]:
+def pairs_of(part: tuple[str, int, int]) -> tuple[list[Pair], str]:
     """The pairs of a world, or why there are none."""
-    number, draws = part
-    document = draw_world(number)
+    kind, number, draws = part
+    document = KINDS[kind](draw_world(number), random.Random(number))
+    if document is None:
+        return [], ""
     if "drone" in document:
         return [], "several drones"
     config = _pinned(document)
@@ -93,13 +129,12 @@ def pairs_of(part: tuple[int, int]) -> tuple[list[Pair], str]:
         found = what_if(run.events, others, replays=Replays(draws, workers=1))
     except UsageError as error:
         return [], str(error)
-    features = " ".join(name for name in ("heat", "fault", "event") if document.get(name))
-    pairs = []
+    flown_s, pairs = run.result.mission_time_s, []
     for prediction in found.predictions:
         if prediction.policy == log:
             continue
         other = simulate(replace(with_policy(config, prediction.policy), seed=OTHER_SEED + number)).result
-        pairs.append(Pair(number, log, run.result.mission_time_s, prediction, other.mission_time_s, features))
+        pairs.append(Pair(kind, number, log, flown_s, prediction, other.mission_time_s, found.notes))
     return pairs, "; ".join(sorted(set(found.refused.values())))
 
 
@@ -125,11 +160,8 @@ def summary(pairs: Sequence[Pair]) -> Iterator[str]:
     yield _line("all", pairs)
     for log in POLICIES:
         yield _line(f"from a log of {log}", [pair for pair in pairs if pair.log == log])
-    for name in ("heat", "fault", "event"):
-        yield _line(f"with {name}", [pair for pair in pairs if name in pair.features])
-    yield _line("with none of these", [pair for pair in pairs if not pair.features])
     right = wrong = 0
-    for _, of_world in itertools.groupby(pairs, key=lambda pair: pair.world):
+    for _, of_world in itertools.groupby(pairs, key=lambda pair: (pair.kind, pair.world)):
         for one, other in itertools.permutations(of_world, 2):
             if one.predicted.high_s < other.predicted.low_s:
                 right += one.true_s < other.true_s

@@ -59,7 +59,9 @@ def test_smaller_photos_are_scored_called_with_and_flown_with() -> None:
     said = printed("bench.less_to_send", "--quick")
     assert re.search(r"\n\| 0\.4 MB \| 2 \| 720 px, 85 \| \d+ kB \| [\d.]+ \|", said)
     assert re.search(r"\n\| 0\.4 MB \| 54 Mbit/s \|( [\d.]+ s \|){5}", said)
-    assert re.search(r"\n\| 10 MB, as 1 MB \|( \d+ s, [\d.]+ % \(.*?\) \|){3}", said)
+    assert re.search(
+        r"\n\| 10 MB, as 1 MB \| [\d,]+ kB to \d+ kB in [\d.]+ s \|( \d+ s, [\d.]+ % \(.*?\) \|){3}", said
+    )
 
 
 @pytest.mark.xdist_group("ros")

@@ -46,6 +46,7 @@ WORLDS: dict[str, dict[str, Any]] = {
     "quiet": {},
     "a server fails": {"faults": [fault("s1", "off", from_s=60.0, to_s=200.0)]},
     "a hot computer": {"heat": {"ambient_c": 44.0}, "columns": 9},
+    "a hot computer of 8 W": {"heat": {"ambient_c": 44.0, "load_w": 8.0}, "columns": 9},
     "answers that demand actions": {
         "event": {"every": 5},
         "mission": {"action_s": 8.0},

@@ -463,7 +463,8 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """The server's radio range, in metres; or `"measured"`: [servers without a
     range](links.md#servers-without-a-range)."""
     network: values.Text
-    """Its NetworkManager profile; default: the server's name."""
+    """Its NetworkManager profile; default: the server's name. Servers of one network have the same:
+    [deadlines](deadlines.md)."""
     address: values.Text | None = None
     """The daemon's address, `host:port` or `unix:path`; or `mdns`: it is [found in its
     network](networks.md#addresses). Needed to fly."""

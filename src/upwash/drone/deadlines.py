@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -13,10 +14,11 @@ from upwash.config.truth import keys_of
 from upwash.core.geo import Waypoint
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.operation import Operation
-from upwash.core.selection.deadlines import Deadline, Deadlines, Delays, Prospect, prospect
+from upwash.core.selection.deadlines import MISS, Deadline, Deadlines, Delays, Prospect, prospect
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.rpc.service import ServiceSpec
+from upwash.support.text import counted
 
 _CERTAIN = 1000  # calls that all take as long: those of the drone's own service
 
@@ -40,8 +42,8 @@ class DeadlineProspect(Struct, frozen=True):
             else ""
         )
         return (
-            f"{self.operation}: answered within {asked.within_s:g} s with a probability of {had.probability:.4g} at "
-            f"least ({asked.probability:g} asked for){second}"
+            f"{self.operation}: answered within {asked.within_s:g} s with a probability of {_least(had)} at least, "
+            f"with a confidence of 95 % ({asked.probability:g} asked for){second}"
         )
 
     @property
@@ -127,7 +129,11 @@ def _prospects(
             for server in config.servers
             if estimates.remote_s(server.name, operation) is not None
         }
-        onboard = None if hedging is None or local_s is None else Delays([local_s] * _CERTAIN)
+        joins = hedging is not None and local_s is not None and local_s <= deadline.within_s
+        onboard, miss = (
+            Delays([local_s or 0.0] * _CERTAIN),
+            MISS / 2 if joins else MISS,
+        )  # of two plans, or of one
         found: list[tuple[Prospect, str, int]] = []
         for waypoint in plan:
             near = sorted(
@@ -138,40 +144,61 @@ def _prospects(
                 in_time = local_s is not None and local_s <= deadline.within_s
                 found.append((Prospect(float(in_time)), "no server is in range there", waypoint.index))
                 continue
-            second = delays[near[1]] if len(near) > 1 and config.network.radios > 1 else None
-            best = prospect(deadline, delays[near[0]], second)
-            if hedging is not None and onboard is not None:
+            second = _second(config, near)
+            best = prospect(deadline, delays[near[0]], delays.get(second or ""), miss=miss)
+            if hedging is not None and joins:
                 by_drone = structs.replace(deadline, extra=hedging.budget)
-                joined = prospect(by_drone, delays[near[0]], onboard).probability
+                joined = prospect(by_drone, delays[near[0]], onboard, miss=miss).probability
                 best = max(best, Prospect(joined), key=lambda had: had.probability)
-            found.append((best, _why(near, delays, config.network.radios, best, deadline), waypoint.index))
+            found.append((best, _why(config, near, delays, best, deadline), waypoint.index))
         if found:
             least, where, _ = min(found, key=lambda one: one[0].probability)
             short = tuple(index for had, _, index in found if had.probability < deadline.probability)
             yield DeadlineProspect(operation.service, operation, deadline, least, where, short)
 
 
+def _second(config: DroneConfig, near: Sequence[str]) -> str | None:
+    """The server whose help is promised beside the first one; None if both are late with one network."""
+    networks = {server.name: server.network for server in config.servers}
+    if config.network.radios == 1 or len(near) == 1 or networks[near[0]] == networks[near[1]]:
+        return None
+    return near[1]
+
+
 def _why(
-    near: Sequence[str], delays: Mapping[str, Delays], radios: int, best: Prospect, deadline: Deadline
+    config: DroneConfig, near: Sequence[str], delays: Mapping[str, Delays], best: Prospect, deadline: Deadline
 ) -> str:
-    if unknown := [name for name in near[:radios] if not delays[name].known]:
+    second = _second(config, near)
+    asked = near[:1] if second is None else near[:2]
+    if unknown := [name for name in asked if not delays[name].known]:
         return f"nothing is measured of {unknown[0]}: give its times_csv"
+    needed = deadline.delays_needed(len(asked))
+    if few := [name for name in asked if delays[name].known < needed]:
+        known = counted(delays[few[0]].known, "delay")
+        return f"{known} of {few[0]} in its times_csv, and this p takes {needed} at least, all in time: measure more"
     if len(near) == 1:
         return f"only {near[0]} is in range there"
-    if radios == 1:
+    if config.network.radios == 1:
         return f"{near[0]} alone, as network.radios is 1: with 2, {near[1]} could get late calls too"
+    if second is None:
+        return f"{near[0]} alone, as {near[1]} is reached over the same network, and both are late with it"
     if best.after_s is not None and best.extra > deadline.extra - 1e-9:
         return f"{near[1]} may get a share of {deadline.extra:g} of the calls too: allow more as extra"
     return f"{near[0]} with {near[1]}"
 
 
+def _least(had: Prospect) -> str:
+    """The probability in figures, never rounded up."""
+    return f"{math.floor(1e4 * had.probability + 1e-6) / 1e4:g}"
+
+
 def _refusal(one: DeadlineProspect, waypoints: int) -> str:
-    asked, had = one.deadline, one.least.probability
+    asked = one.deadline
     where = f"waypoint {one.short_of[0]}"
     if len(one.short_of) > 1:
         where = f"{len(one.short_of)} of {waypoints} waypoints, such as {one.short_of[0]}"
     return (
         f"service.{one.service}.deadline: {one.operation} is answered within {asked.within_s:g} s with a probability "
-        f"of {had:.4g} at least, and {asked.probability:g} is asked for: it is less at {where}: {one.where}; or ask "
-        "for a lower p, or a longer s"
+        f"of {_least(one.least)} at least, and {asked.probability:g} is asked for: it is less at {where}: "
+        f"{one.where}; or ask for a lower p, or a longer s"
     )

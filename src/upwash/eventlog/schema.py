@@ -240,8 +240,9 @@ class NoBetterAnswer(_Explained, frozen=True, kw_only=True):
 class DeadlinePromised(Event, frozen=True, kw_only=True):
     """Before take-off: calls of the operation are answered `within_s` with the probability `expected` at least.
 
-    `asked` is the configured probability, and `extra` the expected share of calls that a second server gets too. With
-    a second server `expected` holds for servers that are late independently of each other.
+    `expected` is a lower bound with a confidence of 95 %, `asked` the configured probability, and `extra` the
+    expected share of calls that a second server gets too. With a second server `expected` holds for servers that are
+    late independently of each other.
     """
 
     operation: Text

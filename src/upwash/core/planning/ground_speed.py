@@ -2,7 +2,7 @@
 
     limits     the highest speeds by the photos and by the vehicle
     tried      speeds from the lowest limit down, each 15 % below the one before; then those around the best
-    chosen     the lowest speed whose forecast is at most 1 % longer than the shortest
+    chosen     the lowest speed whose forecast is at most 0.2 % longer than the shortest
 
 The forecast is not steady: where the drone has to stop for answers, 0.1 m/s more may be a stop more or less. A
 slightly lower speed has fewer open answers, and is as quick.
@@ -21,7 +21,7 @@ _STEP_M_S = 0.1
 _RATIO = 0.85
 _LEAST_SHARE = 0.05  # of the highest speed
 _MOST_BETWEEN = 16  # speeds that are tried around the best
-_AS_QUICK = 1.01
+_AS_QUICK = 1.002
 
 
 class SpeedLimit(Struct, frozen=True):

@@ -1,8 +1,14 @@
 """Answers by a deadline with a probability: what servers can promise, and when a second server gets a call too.
 
-Two servers are late independently of each other: if a share q of the calls is late at each, q² is late at both. The
-second server gets only calls that the first has not answered after `after_s`. This time is as long as the probability
-allows, so that the second server computes fewest calls.
+A promise holds with a confidence of 95 %, whatever the distribution of the delays. Two servers are late independently
+of each other: if a share q of the calls is late at each, q² is late at both. The second server gets only calls that
+the first has not answered after `after_s`. This time is as long as the probability allows, so that the second server
+computes fewest calls.
+
+The promise of two servers takes three bounds, each with a third of the 5 %: what the first answers in time, what the
+first answers before `after_s`, and what the second answers in the time left. As `after_s` is chosen from the same
+delays, it follows from a delay of a fixed rank. `extra` fixes the rank at the first server, the first server's delays
+fix the rank at the second. The share of calls that is faster than the r-th of n delays has a known distribution.
 """
 
 from __future__ import annotations
@@ -16,8 +22,11 @@ from types import MappingProxyType
 from msgspec import Struct
 
 from upwash.core.operation import Operation
+from upwash.core.selection.shares import calls_for, hits_for, least_share
 
-_WINDOW_LENGTH = 1000  # delays
+MISS = 0.05  # the probability that a promise is too high
+_BOUNDS = 3  # of two servers
+_WINDOW_LENGTH = 3000  # delays; one server's 0.999 takes 2,995
 _MOMENT_S = 0.05  # answers and timers may be later than known by it
 
 
@@ -27,6 +36,13 @@ class Deadline(Struct, frozen=True):
     within_s: float
     probability: float
     extra: float
+
+    def delays_needed(self, servers: int) -> int:
+        """The fewest delays of each of one or two servers that show the probability, if all of them are in time."""
+        if servers == 1:
+            return calls_for(self.probability, MISS)
+        each = max(1 - math.sqrt(1 - self.probability), 1 - self.extra)
+        return calls_for(each, MISS / _BOUNDS)
 
 
 class Prospect(Struct, frozen=True):
@@ -58,36 +74,52 @@ class Delays:
 
     def share_by(self, within_s: float) -> float:
         """The share of calls that is answered in that time; never 1, as the next call may be the slowest."""
-        return bisect_right(self._sorted, within_s) / (len(self._sorted) + 1)
+        return self._in_time(within_s) / (self.known + 1)
 
-    def reached_s(self, share: float, *, within_s: float) -> float | None:
-        """The time (s) until that share of the calls is answered, or their most `within_s`; None without a call."""
-        in_time = bisect_right(self._sorted, within_s)
-        rank = min(math.ceil(share * (len(self._sorted) + 1)), in_time)
-        return self._sorted[rank - 1] if rank > 0 else None
+    def least_share_by(self, within_s: float, miss: float) -> float:
+        """The share of calls that is answered in that time is at least this, with the probability 1 - `miss`."""
+        return least_share(self._in_time(within_s), self.known, miss)
+
+    def reached_s(self, share: float, miss: float, *, within_s: float) -> float | None:
+        """The time (s) until that share is answered, with the probability 1 - `miss`; None if that is later."""
+        rank = hits_for(share, self.known, miss)
+        return (self._sorted[rank - 1] if rank else 0.0) if rank <= self._in_time(within_s) else None
+
+    def slowest_s(self, within_s: float) -> float:
+        """The longest delay (s) within that time; 0 without one."""
+        return max((delay_s for delay_s in self._latest if delay_s <= within_s), default=0.0)
+
+    def _in_time(self, within_s: float) -> int:
+        return bisect_right(self._sorted, within_s)
 
 
-def prospect(deadline: Deadline, first: Delays, second: Delays | None) -> Prospect:
-    """What the first server promises alone, or with the second one asked as late as the probability allows."""
+def prospect(deadline: Deadline, first: Delays, second: Delays | None, *, miss: float = MISS) -> Prospect:
+    """What the first server promises alone, or with the second one asked as late as the probability allows.
+
+    The promise is too high with the probability `miss` at most.
+    """
     within_s = deadline.within_s
-    alone = first.share_by(within_s)
-    if alone >= deadline.probability or second is None:
+    if second is None or not second.known:
+        return Prospect(first.least_share_by(within_s, miss))
+    miss /= _BOUNDS
+    alone = first.least_share_by(within_s, miss)
+    if alone >= deadline.probability:
         return Prospect(alone)
+    spared_s = first.reached_s(1 - deadline.extra, miss, within_s=within_s)
+    soonest_s = first.slowest_s(within_s) if spared_s is None else spared_s
+    soonest_s += _MOMENT_S if soonest_s else 0.0
     needed = 1 - (1 - deadline.probability) / (1 - alone)
-    takes_s = second.reached_s(needed, within_s=within_s)
-    if takes_s is None:
+    takes_s = second.reached_s(needed, miss, within_s=within_s - soonest_s)
+    after_s = soonest_s if takes_s is None else max(soonest_s, within_s - takes_s - _MOMENT_S)
+    if not second.share_by(within_s - after_s):
         return Prospect(alone)
-    after_s = max(0.0, within_s - takes_s - _MOMENT_S)
-    spared_s = first.reached_s(1 - deadline.extra, within_s=within_s)
-    if 1 - first.share_by(after_s) > deadline.extra and spared_s is not None:
-        after_s = spared_s + _MOMENT_S
-        takes_s = within_s - after_s
-        if not second.share_by(takes_s):
-            return Prospect(alone)
-    late = 1 - first.share_by(after_s)
-    helped = min(1.0, deadline.extra / late)  # of the late calls
-    both = 1 - (1 - alone) * (1 - helped * second.share_by(takes_s))
-    return Prospect(both, helped * late, after_s)
+    if spared_s is None:  # `extra` may be used up before a late call
+        both = alone
+    elif takes_s is None:
+        both = 1 - (1 - alone) * (1 - second.least_share_by(within_s - after_s, miss))
+    else:
+        both = deadline.probability
+    return Prospect(both, min(deadline.extra, 1 - first.share_by(after_s)), after_s)
 
 
 class Deadlines:
