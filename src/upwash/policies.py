@@ -8,6 +8,7 @@ from __future__ import annotations
 from upwash.core.geo import Circle, Measured, Position
 from upwash.core.knowledge.servers import State
 from upwash.core.operation import Operation
+from upwash.core.planning.acts import Gap, LateAct
 from upwash.core.planning.backlog import Stay, WaitPlace
 from upwash.core.planning.earliest import Lane, Line, Take, WaitingCall
 from upwash.core.planning.forecast import Forecast
@@ -44,8 +45,10 @@ __all__ = [
     "Deadline",
     "Decision",
     "Forecast",
+    "Gap",
     "Inputs",
     "Lane",
+    "LateAct",
     "Lightened",
     "Line",
     "Local",

@@ -74,17 +74,17 @@ def bounded_calls(history: History) -> Iterator[Breach]:
 def _first_calls(events: Iterable[Event]) -> Iterator[schema.Decided]:
     """The decisions for a server whose service has answered no call since its last start."""
     warm: dict[str, set[str]] = {}  # services by server
-    asked = ""  # the server that a call was last sent to
+    asked: dict[tuple[int | None, str], str] = {}  # the server that a call of a waypoint was last sent to
     for event in events:
         match event:
-            case schema.Call(remote_fault="confirmed"):
-                warm.setdefault(asked, set()).add(service_of(event))
+            case schema.Call(remote_fault="confirmed", waypoint=waypoint):
+                warm.setdefault(asked[waypoint, service_of(event)], set()).add(service_of(event))
             case schema.Started(server=server) | schema.Prepared(server=server):
                 warm[server] = set()
             case schema.Call(server=str(server)):
                 warm.setdefault(server, set()).add(service_of(event))
-            case schema.Decided(decision="remote", server=str(server)):
-                asked = server
+            case schema.Decided(decision="remote", server=str(server), waypoint=waypoint):
+                asked[waypoint, service_of(event)] = server
                 if service_of(event) not in warm.get(server, set()):
                     yield event
 
