@@ -368,7 +368,7 @@ def test_the_plan_is_drawn_in_the_order_of_the_flight() -> None:
 def going(tmp_path_factory: pytest.TempPathFactory) -> Record:
     goes = survey(
         mission={"home": {"latitude_deg": 39.0, "longitude_deg": 22.0}},
-        policy={"name": "local-only", "stay_or_go": "go"},
+        policy={"name": "local-only", "stay_or_go": "go", "act_within_s": 0.0},
         event={"every": 6, "offset": 2},
     )
     file = tmp_path_factory.mktemp("going") / "going.jsonl"

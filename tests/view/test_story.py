@@ -258,7 +258,8 @@ def test_a_sentence_is_told_anew_as_soon_as_it_is_known_until_when_a_server_was_
 
 @pytest.fixture(scope="module")
 def going() -> list[Fact]:
-    run = simulate(survey(policy={"name": "local-only", "stay_or_go": "go"}, event={"every": 6, "offset": 2}))
+    policy = {"name": "local-only", "stay_or_go": "go", "act_within_s": 0.0}
+    run = simulate(survey(policy=policy, event={"every": 6, "offset": 2}))
     return tell(run.events)
 
 

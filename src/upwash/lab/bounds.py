@@ -247,7 +247,8 @@ def _made(
             case schema.Call(at_s=begun_s, operation=name, t=now_s):
                 operation = operations[name if event.first_s is None else event.asked or name]
                 service = services[operation.service]
-                until_s = [*starts_s, begun_s][number + 1] if is_started else begun_s
+                hides = is_started and alone is not None
+                until_s = [*starts_s, begun_s][number + 1] if hides else begun_s
                 offers = [
                     Offer(
                         stay.server,
@@ -281,7 +282,7 @@ def _made(
                 computed = twice[operation].first if operation in twice else operation
                 local_s = delay_of(computed, service.local_call_s)
                 call = ComingCall(local_s, begun_s - ended_s, offers)
-                yield _Made(operation, call, ways_s.get(number, math.inf) if is_started else 0.0, on_the_way)
+                yield _Made(operation, call, ways_s.get(number, math.inf) if hides else 0.0, on_the_way)
                 ended_s, decided, is_started = now_s, False, False
 
 

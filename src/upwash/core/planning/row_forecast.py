@@ -195,6 +195,7 @@ class _Flight:
         waypoint, self._target = plan[index], index
         if index and self._acts.waits_after(index - 1):
             self._demanding += self._acts.due_after(index - 1)
+            self._hover(self._mission.photo_s)
             first: Via | Waypoint = waypoint.via[0] if waypoint.via else waypoint
             self._meet(Way(self._here, index, first.position))
         self._fly_over(waypoint.via)
