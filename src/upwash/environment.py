@@ -1,7 +1,4 @@
-"""An environment of Gymnasium over simulated missions, to train policies: docs/training-policies.md.
-
-Each question is a table of numbers to an agent, and each of its answers is an action.
-"""
+"""An environment of Gymnasium over simulated missions, to train policies: docs/training-policies.md."""
 
 from __future__ import annotations
 
@@ -27,7 +24,7 @@ with extra("gymnasium"):
 __all__ = ["UpwashEnv"]
 
 _MOST = 1e6  # of a number in an observation; in place of a larger one, or of an infinite one
-_CALLS = 32  # of the line, the first ones, that an agent sees
+_MOST_SEEN = 32  # calls in line, and gaps, the first ones
 _WHY = "the agent's choice"
 
 
@@ -41,7 +38,7 @@ class UpwashEnv(gymnasium.Env[Any, Any]):
     def __init__(
         self,
         scenario: str | os.PathLike[str] | Mapping[str, object],
-        question: Literal["choose", "decide", "place_in_line", "where_to_wait"] = "choose",
+        question: Literal["choose", "decide", "place_in_line", "where_to_wait", "when_to_act"] = "choose",
         *,
         overrides: Mapping[str, object] | None = None,
     ) -> None:
@@ -90,8 +87,8 @@ class UpwashEnv(gymnasium.Env[Any, Any]):
         if isinstance(asked, Asked):
             return self._seen(asked), reward, False, False, self._told(asked)
         self.close()
-        end = {"result": asked.result, "failure": asked.failure}
-        return self._seen(before), reward, not asked.failure, bool(asked.failure), end
+        told = {"result": asked.result, "failure": asked.failure}
+        return self._seen(before), reward, not asked.failure, bool(asked.failure), told
 
     def close(self) -> None:
         """End the mission that is under way, and its thread."""
@@ -159,18 +156,18 @@ def _decisions(about: policies.CallInputs, built_in: policies.Decision, _: list[
 
 def _line(about: policies.Line, _: list[str]) -> Iterable[tuple[float, ...]]:
     for lane in (about.drone, about.server):
-        yield (0, _MOST) if lane is None else (lane.is_free, lane.free_in_s)
-    for call in about.calls[:_CALLS]:
+        yield (0, _MOST) if lane is None else msgspec.structs.astuple(lane)
+    for call in about.calls[:_MOST_SEEN]:
         yield call.local_s, call.remote_s, call.waited_s, call.urgent
 
 
 def _takes(about: policies.Line, *_: object) -> Mapping[int, Any]:
     takes: dict[int, policies.Take | None] = {0: None}
-    for n, call in enumerate(about.calls[:_CALLS]):
+    for n, call in enumerate(about.calls[:_MOST_SEEN]):
         if about.drone.is_free and call.local_s < math.inf:
             takes[1 + n] = policies.Take(n, "drone")
         if about.server is not None and about.server.is_free and call.remote_s < math.inf:
-            takes[1 + _CALLS + n] = policies.Take(n, "server")
+            takes[1 + _MOST_SEEN + n] = policies.Take(n, "server")
     return takes
 
 
@@ -187,10 +184,20 @@ def _waits(about: policies.Stay, _: object, servers: list[str]) -> Mapping[int, 
     return {n: name for n, name in enumerate((None, *servers)) if name in offered}
 
 
+def _late(about: policies.LateAct, _: list[str]) -> Iterable[tuple[float, ...]]:
+    yield (about.at_once_s,)
+    yield from ((gap.extra_s, gap.in_s) for gap in about.gaps[:_MOST_SEEN])
+
+
 _QUESTIONS = {
     "choose": _Question(lambda n: ((n + 1, 6), n + 1), _situation, _choices),
     "decide": _Question(lambda _: ((2, 5), 3), _call, _decisions),
-    "place_in_line": _Question(lambda _: ((2 + _CALLS, 4), 1 + 2 * _CALLS), _line, _takes),
+    "place_in_line": _Question(lambda _: ((2 + _MOST_SEEN, 4), 1 + 2 * _MOST_SEEN), _line, _takes),
     "where_to_wait": _Question(lambda n: ((n + 2, 4), n + 1), _stay, _waits),
+    "when_to_act": _Question(
+        lambda _: ((1 + _MOST_SEEN, 2), 1 + _MOST_SEEN),
+        _late,
+        lambda act, *_: dict(enumerate((None, *range(len(act.gaps[:_MOST_SEEN]))))),
+    ),
 }
 gymnasium.register("upwash/Mission-v0", entry_point="upwash.environment:UpwashEnv")

@@ -12,6 +12,7 @@ from tests.drone.test_pending import of
 from tests.scenarios import server
 
 from upwash.config import DroneConfig
+from upwash.config.drone_file import drone_config
 from upwash.core.geo import Position, ground_distance_m
 from upwash.drone import own_policy
 from upwash.drone.site import Site
@@ -45,6 +46,13 @@ class Farthest(LookAhead):
 
 class Near(LookAhead):
     def where_to_wait(self, stay): return "s1"
+
+class AtOnce(LookAhead):
+    def when_to_act(self, act): return None
+class AtTheEnd(LookAhead):
+    def when_to_act(self, act): return len(act.gaps) - 1
+class NoGap(LookAhead):
+    def when_to_act(self, act): return len(act.gaps)
 
 class Beyond(LookAhead):
     def place_in_line(self, line): return Take(len(line.calls), "drone")
@@ -148,6 +156,26 @@ def test_a_place_that_a_fence_forbids_is_not_among_the_places(
     assert "named 's1', which is not among the places [None, 's2']" in run.result.offloading_failed
 
 
+def acting(**tables: Any) -> DroneConfig:
+    """Three rows of 100 m; a call of 3 s, and the answer to each fifth photo has a demand."""
+    ends = [[0.0, 0.0], [100.0, 0.0], [100.0, 15.0], [0.0, 15.0], [0.0, 30.0], [100.0, 30.0]]
+    mission = {"waypoints_m": ends, "photos": {"every_m": 20.0}, "ground_speed_m_s": 5.0, "action_s": 2.0}
+    service = {"name": "detector", "local_call_s": {"light": 1.0, "heavy": 3.0}}
+    document = {"mission": mission, "service": [service], "event": {"every": 5, "offset": 2}, **tables}
+    return drone_config(document, Path("scenario.toml"))
+
+
+def test_an_act_is_done_when_the_policy_says(mine: Path) -> None:
+    at_once, as_told = flown(acting(policy={"act_within_s": 0.0})), flown(acting(**own(mine, "AtOnce")))
+    assert [each.t for each in of(list(as_told.events), schema.Acted)] == [
+        each.t for each in of(list(at_once.events), schema.Acted)
+    ]
+    late = list(flown(acting(**own(mine, "AtTheEnd"))).events)
+    last_s = of(late, schema.PhotoTaken)[-1].t
+    assert len(acted := of(late, schema.Acted)) == 4 and all(each.t > last_s for each in acted)
+    assert flown(acting()).result.mission_time_s < at_once.result.mission_time_s
+
+
 @pytest.mark.parametrize(
     ("policy", "why"),
     [
@@ -164,6 +192,7 @@ def test_a_place_that_a_fence_forbids_is_not_among_the_places(
         ("Silent", "place_in_line did not answer within 0.2 s"),
         ("Nowhere", "where_to_wait named 's9', which is not among the places [None, 's1']"),
         ("Lost", "where_to_wait raised IndexError"),
+        ("NoGap", "when_to_act returned"),
     ],
 )
 def test_a_defect_ends_offloading_and_not_the_mission(
@@ -173,6 +202,8 @@ def test_a_defect_ends_offloading_and_not_the_mission(
         monkeypatch.setattr(own_policy, "ANSWERS_WITHIN_S", 0.2)
     told, leaves_ranges = own(mine, policy), policy in ("TooSoon", "Nowhere", "Lost")
     config = field(**told) if leaves_ranges else line(None if policy == "NotThere" else 4.0, **told)
+    if policy == "NoGap":
+        config = acting(**told)
     run = flown(config)
     (failed,) = of(list(run.events), schema.OffloadingFailed)
     assert f"policy mine.py:{policy}: {why}" in failed.why

@@ -18,7 +18,7 @@ gymnasium = pytest.importorskip("gymnasium", reason="needs upwash[gymnasium]")
 
 from upwash.environment import UpwashEnv  # noqa: E402 - which needs it
 
-Question = Literal["choose", "decide", "place_in_line", "where_to_wait"]
+Question = Literal["choose", "decide", "place_in_line", "where_to_wait", "when_to_act"]
 SCENARIOS = ROOT / "scenarios"
 DEMONSTRATION, ROWS = SCENARIOS / "demonstration.toml", SCENARIOS / "on-the-move.toml"
 NOISE = {"noise.call": 0.3}
@@ -71,6 +71,7 @@ def test_gymnasium_checks_it(question: str) -> None:
         (SCENARIOS / "thesis.toml", "decide"),
         (ROWS, "place_in_line"),
         (ROWS, "where_to_wait"),
+        (ROWS, "when_to_act"),
     ],
     ids=lambda value: value if isinstance(value, str) else value.stem,
 )
