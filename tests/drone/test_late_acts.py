@@ -4,26 +4,32 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Callable
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import msgspec
 import pytest
-from tests.drone.test_pending import of
+from tests.drone.test_pending import in_the_air, of
 from tests.drone.test_resume import at_once, fly, scenario
 from tests.drone.test_rows import ROWS
+from tests.drone.test_stay_or_go import going
 
+from upwash import Drone
 from upwash.config import DroneConfig
 from upwash.core.geo import Position, Waypoint
 from upwash.core.planning.acts import Acts, cheapest
 from upwash.core.planning.legs import Pace
 from upwash.drone.late_acts import LateActs, Onwards
 from upwash.eventlog import schema
+from upwash.services import Detector
 from upwash.sim.loop import run_virtually
 
 ACTION_S = 5.0
 # Answers take 10 s; that to the photo of spot 3, at 60 m, has a demand. The second row passes 20 m beside.
 SHOWN = Position(60.0, 0.0)
+BESIDE = [[0, 0], [10, 0], [60, 0], [60, 10], [0, 10]]
 
 
 def rows(**mission: Any) -> DroneConfig:
@@ -69,16 +75,13 @@ def test_a_flight_that_ends_names_the_acts_that_were_put_off_and_is_taken_up_aga
 
 
 def test_at_stops_too_the_act_of_an_answer_that_comes_on_the_way_is_put_off() -> None:
-    places = [[0, 0], [60, 0], [60, 10], [0, 10]]
-    config = scenario(waypoints_m=places, action_s=ACTION_S)
-    policy = msgspec.structs.replace(config.policy, stay_or_go="go")
-    config = msgspec.structs.replace(config, policy=policy)
+    config = going(scenario(waypoints_m=BESIDE, action_s=ACTION_S))
     late, soon = (fly(each, shows=[Position(0.0, 0.0)]) for each in (config, at_once(config)))
     assert late.error is None and soon.error is None
     for flight in (late, soon):
         assert Counter(event.waypoint for event in of(flight.events, schema.Acted)) == {0: 1}
     assert of(late.events, schema.PutOff)
-    assert late.result.mission_time_s < soon.result.mission_time_s - 10.0
+    assert late.result.mission_time_s < soon.result.mission_time_s - 5.0
 
 
 class Late(NamedTuple):
@@ -86,6 +89,37 @@ class Late(NamedTuple):
 
     place: Position
     waypoint: int
+
+
+def test_an_act_that_fails_leaves_the_others_to_the_next_verb() -> None:
+    acted: list[float] = []
+
+    def act(drone: Drone) -> None:
+        acted.append(drone.autopilot.position.east_m)
+        if len(acted) == 1:
+            raise ValueError("it cannot be done")
+
+    def program(drone: Drone, detector: Detector) -> None:
+        for waypoint in drone.plan:
+            tried(partial(drone.autopilot.goto, waypoint))
+            pending = drone.start(detector.process_photo, drone.camera.take_photo(), mode="heavy")
+            drone.stay_or_go(pending, lambda _: act(drone), demands=partial(_is_of_first_two, waypoint.index))
+        tried(drone.autopilot.hold)
+
+    def tried(verb: Callable[[], object]) -> None:
+        try:
+            verb()
+        except ValueError:
+            assert len(acted) == 1
+            verb()
+
+    flight = fly(going(scenario(waypoints_m=BESIDE)), mission=in_the_air(program))
+    assert flight.error is None
+    assert sorted(acted) == pytest.approx([0.0, 10.0], abs=0.1)
+
+
+def _is_of_first_two(index: int, _: object) -> bool:
+    return index < 2
 
 
 PLAN = [Waypoint(number, Position(20.0 * number, 0.0)) for number in range(4)]

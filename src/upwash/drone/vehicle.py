@@ -61,6 +61,8 @@ class Vehicle:
         self._found_flying = False  # it has taken off before this program began, and not landed since
         self._open: AnswerAction[Any] | None = None
         self._late = late
+        self._due: list[AnswerAction[Any]] = []  # acts that were put off to now, at stops
+        self._acts = False
         self._rows = (
             Rows(
                 VehicleHandle(self), thread, journal, plan=site.waypoints, way=site.way, rules=rows, late=late
@@ -220,9 +222,9 @@ class Vehicle:
             self._rows.settle(comes_back=comes_back)
             return
         self._settle_open()
-        here, acts = self._legs.place, self._late.all()
-        self._act(acts)
-        if acts and comes_back and here is not None:
+        here = self._legs.place
+        self._act(self._late.all())
+        if comes_back and here is not None and here != self._legs.place:
             self._fly(here, back=True)
 
     def _settle_open(self, *, puts_off: bool = False) -> None:
@@ -236,8 +238,16 @@ class Vehicle:
         self._act(due + self._thread.call(self._late.due(Onwards(place, position_of(place)))))
 
     def _act(self, acts: Sequence[AnswerAction[Any]]) -> None:
-        for answer in acts:
-            answer.come_back(0.0)
+        """Do these acts one after the other; those that an exception of one leaves are done with the next."""
+        self._due += acts
+        if self._acts:
+            return
+        self._acts = True
+        try:
+            while self._due:
+                self._due.pop(0).come_back(0.0)
+        finally:
+            self._acts = False
 
     def _puts_off(self, answer: AnswerAction[Any], place: Waypoint | Position | None = None) -> bool:
         """Whether the act is put off on the leg to the place, or at rest at the last waypoint."""
