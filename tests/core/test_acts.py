@@ -73,6 +73,13 @@ def test_an_act_is_not_put_off_where_that_costs_more_or_may_not_be() -> None:
     assert put_off(acts(), "act", SPOTS[1], on_leg(32.0, 2), allows=lambda *_: False) is None
 
 
+def test_on_a_leg_beyond_the_last_spot_of_a_row_no_spot_of_it_is_rested_at() -> None:
+    beyond = [Position(84.0, 0.0), Position(-4.0, 10.0)]
+    plan = [Waypoint(n, spot, row_end=beyond[n > 4]) for n, spot in enumerate(SPOTS)]
+    way = Way(Position(32.0, 0.0), 2, Position(32.0, 0.0), beyond[0], Position(40.0, 0.0))
+    assert acts(plan).choice(SPOTS[1], way).gaps[0].number >= 4
+
+
 def test_acts_at_one_place_share_the_way_there() -> None:
     late = acts(STOPS)
     way = Way(SPOTS[4], 5, SPOTS[5])

@@ -334,7 +334,8 @@ class Rows:
     def _before_leaving(self, place: Place) -> None:
         """Do what was put off to here; stop in the last range of the way if calls wait for a server."""
         rules = self._rules
-        if self._end is None and (due := self._late.due_after(self._last)):
+        if due := self._late.due_after(self._last):
+            self.stop()  # behind a last spot that is not the row's end
             self._open += due
             self._meet(due, self._onwards(place))
         if rules.servers is None or not isinstance(place, Waypoint) or not self._open:

@@ -128,7 +128,7 @@ class Acts(Generic[T]):
         return [act for number in sorted(self._gaps) for act in self.due_after(number)]
 
     def take(self, way: Way, wanted: Callable[[T, LateAct], bool]) -> list[T]:
-        """Take the acts that are wanted now; the gap of each is the only one that is given."""
+        """Take the acts that are wanted now, each with its gap alone, and those of gaps that lie behind."""
         taken = []
         for number in sorted(self._gaps):
             for order in reversed(range(len(acts := self._gaps[number]))):
@@ -137,7 +137,7 @@ class Acts(Generic[T]):
                 extra_s = self._longer_s(number, places)
                 extra_s -= self._longer_s(number, [*places[:order], *places[order + 1 :]])
                 gap = Gap(number, order, extra_s, self._in_s(number, place, way))
-                if wanted(act, LateAct(place, self._at_once_s(place, way), [gap])):
+                if number < way.target or wanted(act, LateAct(place, self._at_once_s(place, way), [gap])):
                     taken.append(act)
                     del acts[order]
             if not acts:
@@ -161,9 +161,11 @@ class Acts(Generic[T]):
         return braking_s + self._leg_s(way.rest, place) + back_s - ends_s
 
     def _first(self, way: Way) -> int:
-        """The first waypoint ahead where the drone may rest: on a leg only its end."""
-        ahead = range(way.target, len(self._plan))
-        return next((number for number in ahead if self._plan[number].position == way.end), way.target)
+        """The first waypoint ahead after which the drone may act: on a leg the last one that it passes."""
+        first = way.target
+        while way.end is not None and self._is_inside(first) and self._plan[first].position != way.end:
+            first += 1
+        return first
 
     def _best_order(self, number: int, place: Position, way: Way) -> Gap:
         """The gap, with the place's best order among the acts there."""
