@@ -37,6 +37,7 @@ QUICK = {  # what each prints, among others
     "rows": r"10 %( \| [\d.]+){5}\n1,485 photos .*\n4 m/s \|  \|  \| [\d.]+ \|  \| \n",
     "rows_choices": r"\| `photos\.order = \"newest\"` \| 2 \| -?[\d.]+ ± [\d.]+ % \| \d \| \d \|",
     "rows_rules": r"beside the model, all \(2\): [-+][\d.]+% in the mean",
+    "acts": r"beside acting at once, all \(2\): [+-][\d.]+%",
     "sharing": r"adjacent fields, 4 servers.*\n.*bound\n +1( +[\d.]+ / [\d.]+ / [\d.]+){4} +[\d.]+\n",
     "simulate": r"- servers, all near\n( +[\d.]+)+\n",
     "stay_or_go": r" 50 % +[\d.]+( +-?[\d.]+ ± [\d.]+ %){2} +[\d.]+ / [\d.]+\n",

@@ -297,8 +297,8 @@ class TwoServers(Field):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        known_s = {("s1", CALL.operation): [0.5] * 9, ("s2", CALL.operation): [0.5] * 9}
-        self._deadlines = Deadlines({CALL.operation: Deadline(2.05, 0.95, 1.0)}, known_s)
+        known_s = {("s1", CALL.operation): [0.5] * 200, ("s2", CALL.operation): [0.5] * 200}
+        self._deadlines = Deadlines({CALL.operation: Deadline(2.05, 0.999, 1.0)}, known_s)
 
     def second(self, operation: Operation, *, beside: str, begins: bool = False) -> str | None:
         return "s2"

@@ -59,7 +59,7 @@ def config_of(
         mission={"home": home, "ground_speed_m_s": speed_m_s, "action_s": 5.0, **rows},
         event={"every": 100, "offset": DEMANDING},
         vehicle={"profile": firmware},
-        policy={"name": "local-only"},
+        policy={"name": "local-only", "act_within_s": 0.0},
         service=[{"name": "detector", "local_call_s": {"light": 1.0, "heavy": local_s}}],
     )
 
@@ -334,7 +334,11 @@ def test_a_survey_is_flown_as_simulated(firmware: Firmware, tmp_path: Path) -> N
     """With turn-arounds, in which there is no photo; the eighth photo has a demand."""
     more = f'[vehicle]\nprofile = "{firmware}"\n[event]\nevery = 100\noffset = {DEMANDING}\n'
     file = written(
-        tmp_path, transects(), photo_s=0.1, heavy_s=1.5, more=more + '[policy]\nname = "local-only"'
+        tmp_path,
+        transects(),
+        photo_s=0.1,
+        heavy_s=1.5,
+        more=more + '[policy]\nname = "local-only"\nact_within_s = 0.0',
     )
     config = read_drone_config(file)
     flown, simulated = fly(config), simulate(config)

@@ -105,9 +105,9 @@ async def wait_not_watched(wait: Any, self: Decisions, operation: Any, decision:
 
 @planted("a remote call's deadline is ignored", ServerSession, "call")
 async def deadline_ignored(
-    call: Any, self: ServerSession, service: str, method: str, request: bytes, *, deadline_s: float
+    call: Any, self: ServerSession, *about: Any, deadline_s: float, may_queue_s: float | None
 ) -> Any:
-    return await call(self, service, method, request, deadline_s=10 * deadline_s)
+    return await call(self, *about, deadline_s=10 * deadline_s, may_queue_s=may_queue_s)
 
 
 @planted("a remote call's deadline may exceed a local call", Deadline, "seconds")
@@ -331,8 +331,8 @@ def both_answers_delivered() -> Planting:
         await drop(self, operation, local)
         late[id(self), operation.method] = local.result()
 
-    async def confused(self: Calling, decision: Any, asked: Any) -> Any:
-        found = await answer(self, decision, asked)
+    async def confused(self: Calling, decision: Any, asked: Any, *about: Any, **how: Any) -> Any:
+        found = await answer(self, decision, asked, *about, **how)
         if (old := late.pop((id(self), asked.operation.method), None)) is not None:
             return replace(found, reply=old)
         return found

@@ -47,16 +47,16 @@ def counts_demands_only(note: Any, self: DemandMap, position: Position, *, deman
 
 
 @planted("of several demands on a row one is met", Rows, "_meet")
-def meets_one(meet: Any, self: Rows, demanding: list[AnswerAction[Any]]) -> Any:
+def meets_one(meet: Any, self: Rows, demanding: list[AnswerAction[Any]], *about: Any) -> Any:
     for answer in demanding[1:]:
         self._open.remove(answer)
-    return meet(self, demanding[:1])
+    return meet(self, demanding[:1], *about)
 
 
 @planted("an answer is taken twice on a row", Rows, "_taken")
-def takes_twice(taken: Any, self: Rows, waited_s: float = 0.0) -> Any:
+def takes_twice(taken: Any, self: Rows, waited_s: float = 0.0, **about: Any) -> Any:
     before = [answer for answer in self._open if answer.pending.done()]
-    demanding = taken(self, waited_s)
+    demanding = taken(self, waited_s, **about)
     for answer in before:
         answer.demand._holds = None
         answer.demand.holds()

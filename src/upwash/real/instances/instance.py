@@ -19,7 +19,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from queue import SimpleQueue
 from typing import BinaryIO, NoReturn
 
@@ -142,8 +142,7 @@ class ServiceInstance:
         except RuntimeError:  # no calls are taken any more
             raise Refused(self._gate.closed) from None
         try:
-            wait([call], caller.may_queue_s)
-            if not call.done() and call.cancel():
+            if not _is_over(call, caller.may_queue_s) and call.cancel():
                 raise NotBegun(self._behind(number))
             reply, report = call.result()
         except CancelledError:  # while it waited for its turn
@@ -198,6 +197,15 @@ class ServiceInstance:
             return pace_s
         with self._sharing:
             return self._heat.work(pace_s, now_s=began_s)
+
+
+def _is_over(call: Future[_Performed], within_s: float | None) -> bool:
+    """Whether the call ends in that time, also without having begun: for `futures.wait` such a call goes on."""
+    try:
+        call.exception(within_s)
+    except TimeoutError:
+        return False
+    return True
 
 
 def main() -> NoReturn:
