@@ -236,7 +236,7 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     with home."""
     keep: values.FilePath | None = None
     """A folder where the photos are kept, with position, time and attitude as mapping programs read them: [kept
-    photos](findings.md#kept-photos)."""
+    photos](findings.md#kept-photos). `{time}` in it is the flight's start, in UTC."""
     park_seed: values.CountFromZero | None = None
     """Photos are rendered: the solar park of this seed, below the drone."""
 
