@@ -104,6 +104,7 @@ lock: $(READY)
 	$(LOCK) --all-extras --group dev --group clients --group docs pyproject.toml -o requirements.lock
 	$(LOCK) --constraint requirements.lock --extra detector --extra emulation --extra view --group build \
 	    pyproject.toml -o requirements-run.lock
+	sed -n 's/ *\\$$//; /==/p' requirements.lock >deploy/constraints.txt # pip takes no hashes beside a folder
 	$(LOCK) tests/system/ros/requirements.in -o tests/system/ros/requirements.txt
 	$(LOCK) bench/peers/requirements.in -o bench/peers/requirements.txt
 	$(LOCK) --constraint bench/peers/requirements.txt bench/peers/requirements-ray.in -o bench/peers/requirements-ray.txt

@@ -12,7 +12,8 @@ set -eu
 name=${1:?usage: install.sh NAME KEYS [detector-gpu]}
 keys=${2:?usage: install.sh NAME KEYS [detector-gpu]}
 source=$(dirname "$(dirname "$(readlink -f "$0")")")
-root=${DESTDIR:-}  # where a package is made of what this installs
+root=${DESTDIR:+$(readlink -m "$DESTDIR")}  # where a package is made of what this installs, for another machine
+home=$root/opt/upwash
 settings=$root/etc/upwash
 unit=$root/etc/systemd/system/upwash.service
 card='devices = ["nvidia.com/gpu=all"]'
@@ -32,16 +33,20 @@ for file in authority.pem "$name.pem" "$name.key"; do
 done
 
 apt-get install --yes python3-venv bubblewrap
-[ -x "$root/opt/upwash/bin/pip" ] || python3 -m venv "$root/opt/upwash"
+[ -x "$home/bin/pip" ] || python3 -m venv "$home"
 there=detector  # or, where onnxruntime-gpu is installed in place of onnxruntime, what keeps it
-ls -d "$root"/opt/upwash/lib/python3*/site-packages/onnxruntime_gpu-*.dist-info >/dev/null 2>&1 && there=detector-gpu
+ls -d "$home"/lib/python3*/site-packages/onnxruntime_gpu-*.dist-info >/dev/null 2>&1 && there=detector-gpu
 detector=${3:-$there}
 if [ "$detector" != "$there" ]; then  # each would overwrite files of the other
-    "$root/opt/upwash/bin/pip" uninstall --yes onnxruntime onnxruntime-gpu
+    "$home/bin/python" -m pip uninstall --yes onnxruntime onnxruntime-gpu
 fi
-"$root/opt/upwash/bin/pip" install --upgrade "$source[$detector,metrics]"
+"$home/bin/python" -m pip install --upgrade --constraint "$source/deploy/constraints.txt" "$source[$detector,metrics]"
+if [ -n "$root" ]; then  # the scripts name their Python
+    grep -rlIFZ "$home" "$home/bin" "$home/pyvenv.cfg" | xargs -0 sed -i "s|$home|/opt/upwash|g"
+fi
 
-id upwash >/dev/null 2>&1 || useradd --system --home-dir /nonexistent --shell /usr/sbin/nologin upwash
+user='useradd --system --home-dir /nonexistent --shell /usr/sbin/nologin upwash'
+[ -n "$root" ] || id upwash >/dev/null 2>&1 || $user
 group=$(id -gn upwash 2>/dev/null || id -gn)
 install -d -m 750 -g "$group" "$settings" "$settings/keys"
 for file in authority.pem "$name.pem" "$name.key" revoked.txt; do
@@ -84,7 +89,8 @@ if [ "${3:-}" = detector-gpu ]; then
     install -m 644 "$source/deploy/upwash-gpu.conf" "$unit.d/gpu.conf"
 fi
 if [ -n "$root" ]; then
-    echo "installed below $root: nothing was started"
+    echo "installed below $root: nothing was started. There it takes, as root:"
+    echo "$user && chgrp -R upwash /etc/upwash && systemctl enable --now upwash"
     exit 0
 fi
 systemctl daemon-reload

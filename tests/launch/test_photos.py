@@ -8,11 +8,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from tests.events import event
 
 from upwash.config import DroneConfig, drone_config
 from upwash.errors import CameraError, UsageError
 from upwash.launch import cameras
-from upwash.launch.cameras import Look, NoCamera, look, needs_camera
+from upwash.launch.cameras import Look, NoCamera, look, needs_camera, opened_album
+from upwash.ports import KeptPhoto
 
 MISSIONS = """
 import helping
@@ -137,3 +139,18 @@ async def test_a_camera_is_needed_by_missions_that_take_photos(
 async def test_a_photo_without_a_camera_says_what_to_configure() -> None:
     with pytest.raises(CameraError, match=r"say in \[camera\] where photos come from"):
         await NoCamera().take_photo(None)  # type: ignore[arg-type]
+
+
+async def test_kept_photos_are_in_the_folder_of_their_flights_start_also_after_it_is_resumed(
+    tmp_path: Path,
+) -> None:
+    photo, resumed = event("photo", 5.0), event("log_resumed", 9.0, time="2026-05-01T12:30:00+02:00")
+    first, second = (event("log_opened", 0.0, time=f"2026-05-0{day}T12:00:00+02:00") for day in (1, 2))
+    for events in ([first], [first, photo, resumed], [first, photo, second], [first, resumed]):
+        await opened_album(tmp_path / "{time}", events).keep(KeptPhoto(JPEG, "video"))
+    assert sorted(file.relative_to(tmp_path).as_posix() for file in tmp_path.rglob("*.jpg")) == [
+        "2026-05-01T10-00-00Z-2/00001.jpg",  # it had taken no photo, and the folder has photos
+        "2026-05-01T10-00-00Z/00001.jpg",
+        "2026-05-01T10-00-00Z/00002.jpg",
+        "2026-05-02T10-00-00Z/00001.jpg",
+    ]

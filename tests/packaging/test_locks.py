@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -27,3 +29,15 @@ def test_running_needs_nothing_that_only_developers_use() -> None:
     names = {pin.split("==")[0] for pin in pins("requirements-run.lock")}
     assert names & {"pytest", "mypy", "selenium", "mavsdk", "pyarrow", "matplotlib", "distributed"} == set()
     assert {"grpcio", "pymavlink", "onnxruntime", "opencv-python-headless", "starlette"} <= names
+
+
+def test_servers_and_drones_get_the_versions_of_the_tests() -> None:
+    assert list(pins("deploy/constraints.txt")) == list(pins("requirements.lock"))
+
+
+@pytest.mark.parametrize("place", ["docs/*.md", "training/*.md", "deploy/*", "examples/*/Containerfile"])
+def test_what_installs_the_folder_takes_the_locks_versions(place: str) -> None:
+    installs = r"pip install .*(?:\\\n.*)?[\"'](?:\.|/src|\./upwash|\$source)\[.*"
+    found = [line for file in ROOT.glob(place) for line in re.findall(installs, file.read_text())]
+    assert found
+    assert [line for line in found if "constraints.txt" not in line] == []

@@ -34,12 +34,30 @@ async def test_each_photo_is_a_file_with_a_line(tmp_path: Path) -> None:
     ]
 
 
-async def test_photos_of_an_earlier_flight_stay(tmp_path: Path) -> None:
-    first = await FolderAlbum(tmp_path).keep(SHOT)
-    second = await FolderAlbum(tmp_path).keep(SHOT)
-    assert first != second
-    assert len(list(tmp_path.glob("*.jpg"))) == 2
-    assert (tmp_path / "geo.txt").read_text().count("EPSG") == 1
+async def test_each_flight_has_a_folder_of_its_own_and_a_resumed_one_goes_on_in_its_last(
+    tmp_path: Path,
+) -> None:
+    folder = tmp_path / "kept"
+    for _ in range(2):
+        assert await FolderAlbum(folder).keep(SHOT) == "00001.jpg"
+    assert await FolderAlbum(folder, resumes=True).keep(KeptPhoto(jpeg(), "a.jpg", EARTH)) == "00002-a.jpg"
+    assert await FolderAlbum(folder, resumes=True).keep(SHOT) == "00003.jpg"
+    named = {file.relative_to(tmp_path).as_posix() for file in tmp_path.rglob("*.jpg")}
+    assert named == {"kept/00001.jpg", "kept-2/00001.jpg", "kept-2/00002-a.jpg", "kept-2/00003.jpg"}
+    lines = (tmp_path / "kept-2" / "geo.txt").read_text().splitlines()
+    assert [line.split()[0] for line in lines] == ["EPSG:4326", "00001.jpg", "00002-a.jpg", "00003.jpg"]
+
+
+async def test_a_photo_that_was_not_kept_leaves_no_gap_in_the_numbers(tmp_path: Path) -> None:
+    album = FolderAlbum(tmp_path / "kept")
+    await album.keep(SHOT)
+    (tmp_path / "kept").rename(tmp_path / "gone")
+    (tmp_path / "kept").touch()
+    with pytest.raises(NotWritten):
+        await album.keep(SHOT)
+    (tmp_path / "kept").unlink()
+    (tmp_path / "gone").rename(tmp_path / "kept")
+    assert await album.keep(SHOT) == "00002.jpg"
 
 
 async def test_a_photo_without_a_place_has_no_line(tmp_path: Path) -> None:

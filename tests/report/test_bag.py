@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 from pathlib import Path
 from typing import Any
 
 import pytest
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
-from tests.report.test_mcap import FLOWN, JPEG, write
+from tests.report.test_mcap import FLOWN, HIGH, JPEG, write
 
 from upwash.cli.main import main
 from upwash.core.geo import Position
@@ -25,7 +26,7 @@ def bag(tmp_path: Path) -> Path:
     """A short flight with one photo as a bag."""
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "1.jpg").write_bytes(JPEG)
-    log, folder = write(tmp_path / "flown.jsonl", FLOWN), tmp_path / "flown"
+    log, folder = write(tmp_path / "flown.jsonl", HIGH), tmp_path / "flown"
     assert main(["report", str(log), "--bag", str(folder), "--photos", str(tmp_path / "photos")]) == 0
     return folder
 
@@ -40,15 +41,25 @@ def test_a_bag_has_the_flight_in_standard_messages(bag: Path) -> None:
     assert (bytes(image.data), image.format) == (JPEG, "jpeg")
     assert image.header.stamp.sec * 10**9 + image.header.stamp.nanosec == taken_ns
     assert found["/upwash/events"][0][0] == taken_ns - round(3.5e9)
-    assert len(found["/upwash/events"]) == len(FLOWN)
+    assert len(found["/upwash/events"]) == len(HIGH)
     ((_, fix), *_) = found["/fix"]
-    assert (round(fix.latitude, 3), fix.altitude) == (39.0, 20.0)
+    assert (round(fix.latitude, 3), fix.altitude) == (39.0, 508.0)
     states = [json.loads(said.data) for _, said in found["/upwash/servers"]]
     assert states == [
         {"selected": ["s1"], "states": {"s1": "CHECK"}},
         {"selected": [], "states": {"s1": "BLACKLISTED"}},
     ]
     assert max(said.level for _, said in found["/rosout"]) >= 30
+
+
+def test_a_place_has_no_altitude_where_that_of_home_is_unknown(tmp_path: Path) -> None:
+    log = write(tmp_path / "flown.jsonl", FLOWN)
+    assert main(["report", str(log), "--bag", str(tmp_path / "flown")]) == 0
+    with Reader(tmp_path / "flown") as reader:
+        found: list[Any] = [TYPES.deserialize_cdr(raw, "sensor_msgs/msg/NavSatFix")
+                 for connection, _, raw in reader.messages() if connection.topic == "/fix"]  # fmt: skip
+    assert found
+    assert all(math.isnan(fix.altitude) for fix in found)
 
 
 def test_the_images_of_a_bag_are_a_cameras_photos_again_and_again(bag: Path) -> None:

@@ -93,9 +93,9 @@ def found(*logs: Path) -> list[PlacedFinding]:
 def test_every_file_tells_the_same(
     tmp_path: Path, rows_of: Callable[[Sequence[PlacedFinding]], Rows]
 ) -> None:
-    log = flight(tmp_path / "f.jsonl", [BOX], "look here")
+    log = flight(tmp_path / "f.jsonl", "look here", [BOX], {"row": 7.5})
     log.write_bytes(line("log_opened", 0.0, time="2026-05-01T12:00:00+02:00") + log.read_bytes())
-    box, message = rows_of(found(log))
+    box, result = rows_of(found(log))
     expected = {
         "number": "1", "log": "f", "label": "hot-spot", "score": "0.874", "sightings": "1", "waypoint": "1",
         "t_s": "15.0",
@@ -104,10 +104,10 @@ def test_every_file_tells_the_same(
         "left_px": "100.0", "height_px": "20.0",
     }  # fmt: skip
     assert {name: box[name] for name in expected} == expected
-    assert message["number"] == "2"
-    assert message["label"] == "look here"
-    assert message["place_is"] == OF_MISSION
-    assert not message.get("score") and not message.get("left_px") and not message.get("error_m")
+    assert result["number"] == "2"
+    assert result["label"] == "row 7.5"
+    assert result["place_is"] == OF_MISSION
+    assert not result.get("score") and not result.get("left_px") and not result.get("error_m")
 
 
 @pytest.mark.parametrize("rows_of", READERS)
@@ -183,7 +183,7 @@ def photos(tmp_path: Path) -> Path:
 
 
 def test_a_zip_file_has_a_picture_of_each_box(tmp_path: Path, photos: Path) -> None:
-    log = flight(tmp_path / "f.jsonl", "look here", [BOX, {**BOX, "left_px": 5000.0}])
+    log = flight(tmp_path / "f.jsonl", {"row": 7.5}, [BOX, {**BOX, "left_px": 5000.0}])
     files = opened(as_zip(found(log), PhotoShelf(photos)))
     assert set(files) == {"findings.csv", "findings.geojson", "findings.kml", "pictures/2.jpg"}
     picture = cv2.imdecode(np.frombuffer(files["pictures/2.jpg"], np.uint8), cv2.IMREAD_GRAYSCALE)

@@ -72,7 +72,7 @@ def test_a_finding_has_its_place_on_the_photo_and_on_the_earth(tmp_path: Path, p
 def test_each_box_is_a_finding_of_its_own(tmp_path: Path, photos: Path) -> None:
     other = {**BOX, "label": "broken-module", "left_px": 300.0}
     page = parsed(flight(tmp_path / "f.jsonl", [BOX, other], "look here"), photos=photos)
-    rows = [["1", "hot-spot 87 %"], ["2", "broken-module 87 %"], ["3", "look here"]]
+    rows = [["1", "hot-spot 87 %"], ["2", "broken-module 87 %"]]
     assert [[row[0], row[-1]] for row in table_named(page, "Findings")[1:]] == rows
     assert [text(picture).count("2: broken-module") for picture in pictures(page)] == [0, 1]
 
@@ -139,11 +139,11 @@ def test_photos_of_a_park_are_rendered_again(tmp_path: Path) -> None:
     assert len(pictures(parsed(flight(tmp_path / "f.jsonl", [BOX, BOX], source="park 2")))) == 2
 
 
-def test_words_need_no_picture_and_an_empty_message_is_no_finding(tmp_path: Path, photos: Path) -> None:
-    page = parsed(flight(tmp_path / "f.jsonl", "look here", []), photos=photos)
-    assert [row[-1] for row in table_named(page, "Findings")[1:]] == ["look here"]
+def test_a_result_needs_no_picture_and_words_are_no_finding(tmp_path: Path, photos: Path) -> None:
+    page = parsed(flight(tmp_path / "f.jsonl", "look here", {"row": 7.5}, []), photos=photos)
+    assert [(row[0], row[-1]) for row in table_named(page, "Findings")[1:]] == [("1", "row 7.5")]
     assert "have no picture" not in text(page)
-    nothing = parsed(flight(tmp_path / "g.jsonl", []), photos=photos)
+    nothing = parsed(flight(tmp_path / "g.jsonl", [], "look here"), photos=photos)
     assert not [each for each in nothing.iter() if each.text == "Findings"]
 
 

@@ -55,6 +55,12 @@ FLOWN = [
     {"t": 6.0, "event": "photo", "source": "../2.jpg", "bytes": 7, "age_s": 0.5, "position": HERE},
     {"t": 7.0, "event": "safe_end", "action": "land", "why": "the radio is silent"},
 ]  # fmt: skip
+LIMITS: dict[str, Any] = {"home": None, "highest_m": None, "fences": [], "home_above_sea_m": 488.0}
+HIGH: list[dict[str, Any]] = [
+    *FLOWN[:2],
+    {"t": 1.5, "event": "vehicle_limits", **LIMITS},
+    *FLOWN[2:],
+]  # home is above the sea
 
 
 class Read:
@@ -336,6 +342,11 @@ def test_a_time_that_no_message_can_have_costs_its_event_alone(
     log = write(flown, [{**FLOWN[0], "time": opened}, *FLOWN[1:4], {**FLOWN[3], **odd}])
     assert main(["report", str(log), "--mcap", str(log.with_suffix(".mcap"))]) == 0
     assert kind(recorded(log), "LocationFix")
+
+
+def test_the_places_have_their_altitude_above_the_sea(flown: Path) -> None:
+    (fix,) = kind(recorded(write(flown, HIGH)), "LocationFix")
+    assert fix.message.altitude == 508.0
 
 
 def test_several_flights_have_their_names_before_their_topics(flown: Path) -> None:

@@ -18,7 +18,7 @@ NEW_YEAR = datetime(2026, 1, 1, tzinfo=UTC)
 
 
 def finding(label: str, at_s: float = 0.0) -> Finding:
-    """A box of that label, a message where there is none."""
+    """A box of that label, a result without a box where there is none."""
     box = Outline(1.0, 2.0, 3.0, 4.0, label) if label else None
     return Finding(at_s, label or "words", None, None, Position(0.0, 0.0), box, None)
 
@@ -74,7 +74,7 @@ def test_flights_of_one_drone_are_numbered_from_one_each() -> None:
         (["broken-module"] * 5 + ["hot-spot"] * 7, "12 faults: 7 hot-spots, 5 broken modules"),
         (["hot-spot", "broken-module"], "2 faults: 1 hot-spot, 1 broken module"),
         (["hot-spot", "car"], "2 findings: 1 hot-spot, 1 car"),
-        (["", "car", "car"], "3 findings: 2 cars, 1 message"),
+        (["", "car", "car"], "3 findings: 2 cars, 1 result"),
         (["person"] * 3 + ["bus"] * 2, "5 findings: 3 people, 2 buses"),
         (["wine glass"] * 2, "2 wine glasses"),
         (["tennis_racket"] * 2, "2 tennis rackets"),
@@ -100,6 +100,13 @@ def seen_at(east_m: float, north_m: float, score: float, *, photo: int, at_s: fl
     place = Place(Position(east_m, north_m), 1.2, variance=(0.25, 0.0, 0.25), apart_m=0.1)
     box = Outline(1.0, 2.0, 3.0, 4.0, "fault", score)
     return Finding(at_s, "fault", score, None, Position(0.0, 0.0), box, shot, place)
+
+
+def test_of_equally_sure_sightings_the_first_counts() -> None:
+    seen = [seen_at(110.0, 5.0, 0.7, photo=photo, at_s=1.0 + photo) for photo in range(3)]
+    flights = [FlightFindings(name, name, None, 0.0, GeoPosition(47.0, 8.0), seen) for name in ("a", "b")]
+    (found,) = placed(flights)
+    assert (found.sightings, found.best, found.first) == (6, (0, 0), (0, 0))
 
 
 def test_an_object_that_two_drones_saw_is_one_finding_wherever_their_homes_are() -> None:

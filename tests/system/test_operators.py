@@ -307,8 +307,10 @@ def test_the_drones_unit_starts_nothing_again_but_a_flight_that_never_began() ->
 STUBS = {
     "apt-get": 'echo "apt-get $*" >> "$TOLD"',
     "useradd": 'echo "useradd $*" >> "$TOLD"',
-    "python3": 'echo "python3 $*" >> "$TOLD"; mkdir -p "$3/bin"; cp "$(dirname "$0")/pip" "$3/bin/pip"',
-    "pip": 'echo "pip $*" >> "$TOLD"',
+    "python3": """case $2 in
+venv) mkdir -p "$3/bin"; cp "$0" "$3/bin/pip"; cp "$0" "$3/bin/python" ;;
+pip) shift 2; echo "pip $*" >> "$TOLD"; echo "#!$0" > "$(dirname "$0")/upwash" ;;
+esac""",
 }
 
 
@@ -341,12 +343,26 @@ def test_the_script_installs_a_server_that_can_be_configured_and_changes_nothing
     assert (root / "etc/systemd/system/upwash.service").read_text() == UNIT.read_text()
     told = (tmp_path / "told").read_text()
     assert "apt-get install --yes python3-venv bubblewrap" in told
-    assert re.search(r"^pip install --upgrade .*\[detector,metrics\]$", told, re.MULTILINE)
+    locked = re.search(
+        r"^pip install --upgrade --constraint (.*) .*\[detector,metrics\]$", told, re.MULTILINE
+    )
+    assert locked is not None and Path(locked[1]).read_text().count("==") > 100
 
     mine = (root / "etc/upwash/server.toml").read_text().replace("7070", "7171")
     (root / "etc/upwash/server.toml").write_text(mine)
     assert install(tmp_path, "s9", "keys").returncode == 0
     assert (root / "etc/upwash/server.toml").read_text() == mine
+
+
+def test_what_the_script_makes_below_a_folder_is_for_another_machine(tmp_path: Path) -> None:
+    make_keys(tmp_path / "keys", servers=[["s9"]])
+    for _ in range(2):  # the second has scripts whose Python is not at its place here
+        done = install(tmp_path, "s9", "keys")
+        assert done.returncode == 0, done.stderr
+        script = tmp_path / "root/opt/upwash/bin/upwash"
+        assert script.read_text() == "#!/opt/upwash/bin/python\n"
+    assert "useradd" not in (tmp_path / "told").read_text()
+    assert "useradd --system" in done.stdout and "chgrp -R upwash /etc/upwash" in done.stdout
 
 
 def test_an_upgrade_by_the_script_keeps_the_library_for_a_graphics_card(tmp_path: Path) -> None:

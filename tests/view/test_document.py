@@ -95,11 +95,11 @@ def test_a_file_refers_to_nothing_outside_itself_and_runs_its_own_scripts_alone(
 
 
 def test_a_file_has_the_findings_with_their_pictures_and_as_files(tmp_path: Path) -> None:
-    log = flight(tmp_path / "f.jsonl", "look here", [BOX], source="park 2")
+    log = flight(tmp_path / "f.jsonl", {"row": 7.5}, [BOX], source="park 2")
     document = whole(log)
     (told,) = [facts for kind, facts in Reading(document).told() if kind == "findings"]
     assert [(each["words"], each["numbers"]) for each in told] == [
-        ("2 findings: 1 hot-spot, 1 message", [1, 2])
+        ("2 findings: 1 hot-spot, 1 result", [1, 2])
     ]
     assert re.findall(r'<image id="(\S+)" href="data:image/jpeg;base64,', document) == ["crop-0-1"]
     (files,) = Reading(document).content["script#files"]

@@ -152,17 +152,19 @@ def test_photos_are_numbered_and_their_boxes_told() -> None:
             event("photo", 2.0, source="park 2", **photo),
             event("notified", 3.0, message=[{**BOX, "score": 0.9}], at=HERE),
             event("notified", 4.0, message="the battery is low", at=HERE),
+            event("notified", 4.0, message={"row": 7.5}, at=HERE),
             event("photo", 5.0, source="/dev/video0", **photo),
         ]
     )
-    shots, (boxes, words) = those(facts.Shot, told), those(facts.Told, told)
+    shots, (boxes, code) = those(facts.Shot, told), those(facts.Told, told)
     assert [(shot.number, shot.kept, len(shot.truth or ())) for shot in shots] == [
         (0, True, 1),
         (1, False, 1),
     ]
     assert b"score" not in msgspec.json.encode(shots[0]), "the truth has none"
     assert (boxes.what, boxes.score, boxes.photo, boxes.pictured) == ("hot-spot", 0.9, 0, True)
-    assert (words.what, words.box, words.pictured) == ("the battery is low", None, False)
+    assert (code.what, code.box, code.pictured) == ("row 7.5", None, False)
+    assert "the battery is low" in " ".join(said.words for said in those(facts.Said, told))
 
 
 def test_reasons_are_told_in_seconds_of_the_mission() -> None:
@@ -344,9 +346,9 @@ def test_what_the_user_is_told_is_of_the_waypoint_where_the_drone_is_and_of_the_
         tell(
             [
                 STARTED,
-                event("notified", 3.0, message="taking off", at=HERE),
+                event("notified", 3.0, message={"dust": 0.5}, at=HERE),
                 event("arrived", 4.0, waypoint=0, east_m=3.0, north_m=4.0),
-                event("notified", 5.0, message="dirt", at=there),
+                event("notified", 5.0, message={"dirt": 0.5}, at=there),
             ]
         ),
     )

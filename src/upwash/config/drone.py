@@ -235,8 +235,8 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """The altitude of the ground: a GeoTIFF, SRTM tile or other grid that GDAL reads; without it the ground is level
     with home."""
     keep: values.FilePath | None = None
-    """A folder where the photos are kept, with position, time and attitude as mapping programs read them: [kept
-    photos](findings.md#kept-photos)."""
+    """A folder where the photos are kept, with position, time and attitude as mapping programs read them.
+    `{time}` in its name is the flight's start, in UTC: [kept photos](findings.md#kept-photos)."""
     park_seed: values.CountFromZero | None = None
     """Photos are rendered: the solar park of this seed, below the drone."""
 

@@ -8,8 +8,9 @@ import functools
 import inspect
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from types import ModuleType
 
@@ -19,9 +20,10 @@ from upwash.config import CameraConfig, DroneConfig
 from upwash.core.camera.lens import Lens
 from upwash.core.geo import Position
 from upwash.errors import CameraError, UsageError
-from upwash.eventlog.schema import Event
+from upwash.eventlog.schema import Event, LogOpened, PhotoTaken
 from upwash.missions.bundled import load_mission
 from upwash.ports import Camera, Photo
+from upwash.real.camera.album import FolderAlbum
 from upwash.real.camera.calibration import read_calibration
 from upwash.real.camera.camera import FolderCamera, photo_files, read_photo_file, shown_name
 from upwash.real.camera.video import VideoCamera
@@ -144,6 +146,22 @@ def followers_of(camera: Camera) -> tuple[Callable[[Event], None], ...]:
     """What publishes the events of a flight where the camera's photos come from: in ROS 2, or nowhere."""
     follow = getattr(camera, "follow", None)
     return () if follow is None else (follow,)
+
+
+def opened_album(keep: Path, events: Iterable[Event]) -> FolderAlbum:
+    """Keeps the photos of the flight whose log has these events; `{time}` of the folder is when the log was opened.
+
+    Raises UsageError if the folder cannot be made.
+    """
+    began, has_photos = datetime.fromtimestamp(0, UTC), False
+    for event in events:
+        match event:
+            case LogOpened(time=time_of_day):  # perhaps of a later flight in the same log
+                began, has_photos = time_of_day.astimezone(UTC), False
+            case PhotoTaken():
+                has_photos = True
+    folder = Path(str(keep).replace("{time}", f"{began:%Y-%m-%dT%H-%M-%SZ}"))
+    return FolderAlbum(folder, resumes=has_photos)
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ from upwash.drone.resumption import order_begun, ordered_down, waypoints_done
 from upwash.drone.speed import with_speed
 from upwash.errors import AutopilotError, NotWritten
 from upwash.eventlog import schema
-from upwash.launch.cameras import NoCamera, followers_of, needs_camera, opened_camera
+from upwash.launch.cameras import NoCamera, followers_of, needs_camera, opened_album, opened_camera
 from upwash.launch.drone import (
     connect_vehicle,
     drone_credentials,
@@ -38,7 +38,6 @@ from upwash.launch.drone import (
 from upwash.launch.readiness import require_ready
 from upwash.missions.bundled import load_mission, load_services, load_specs
 from upwash.ports import Autopilot, Camera, Journal
-from upwash.real.camera.album import FolderAlbum
 from upwash.real.camera.terrain import Terrain
 from upwash.real.host.clock import (
     SYSTEM_CLOCK,
@@ -214,7 +213,9 @@ async def _ports(
         journal=journal,
         finder=server_finder(config),
         ground=_ground(config, stack),
-        album=None if config.camera.keep is None else FolderAlbum(config.camera.keep),
+        album=None
+        if config.camera.keep is None
+        else opened_album(config.camera.keep, read_events(journal.path)),
     )
 
 

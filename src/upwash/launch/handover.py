@@ -86,7 +86,7 @@ class HandoverFacts:
     def __init__(self, drone: str, home: GeoPosition | None) -> None:
         self._drone = drone
         self._home = home
-        self._finder = Finder()
+        self._finder = Finder(with_texts=True)
         self._began = MissionTime()
         self._flight = ""
         self._opened = datetime.fromtimestamp(0, UTC)

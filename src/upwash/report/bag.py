@@ -94,7 +94,7 @@ def _fixes(record: Record, clock: RecordClock) -> Iterator[tuple[int, str, Any]]
                 status=status(status=0, service=1),
                 latitude=place.latitude_deg,
                 longitude=place.longitude_deg,
-                altitude=fix.position.altitude_m,
+                altitude=fix.above_sea_m,
                 position_covariance=np.zeros(9),
                 position_covariance_type=0,
             ),

@@ -20,7 +20,9 @@ from upwash.support.text import escaped
 
 _SIDES = 64  # of the polygon that stands for a range
 _DIGITS = 7  # of a degree: about a centimetre
-_FORMULAS = ("=", "+", "-", "@")  # what formulas begin with
+_FORMULAS = tuple(
+    "=+-@\uff1d\uff0b\uff0d\uff20"
+)  # what formulas begin with: Excel takes full-width signs too
 
 
 class Exported(msgspec.Struct, frozen=True):

@@ -94,7 +94,7 @@ class Pairing:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One object in a message to the user, with its box; or a message without boxes. `at_s` is its second of the log.
+    """One object in a message to the user, with its box; or a result without boxes. `at_s` is its second of the log.
 
     `named` is the place that the mission gave with the message, `photo` what the message is about, None before the
     first photo. `own` is where the object itself lies, None if unknown; `unplaced` says why.
@@ -155,11 +155,12 @@ class Finding:
 class Finder:
     """Finds them event by event, `pairing` the messages with their photos; an empty message tells nothing.
 
-    Nothing is found after the mission was completed.
+    Nothing is found after the mission was completed. A text is a message and no finding, except `with_texts`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, with_texts: bool = False) -> None:
         self.found: list[Finding] = []
+        self._with_texts = with_texts
         self.pairing = Pairing()
         self._is_over = False
         self._sight: tuple[TakenPhoto | None, Sight | Unplaced] = None, Unplaced(_NO_LENS)
@@ -169,6 +170,8 @@ class Finder:
         self.pairing.take(event)
         self._is_over |= isinstance(event, schema.MissionCompleted)
         if not isinstance(event, schema.Notified) or not event.message or self._is_over:
+            return ()
+        if isinstance(event.message, str) and not self._with_texts:
             return ()
         photo = self.pairing.told_of
         boxes = found_objects(event.message)

@@ -62,9 +62,8 @@ def _picture(found: PlacedFinding, outlined: Markup, *, whose: bool) -> Markup:
         "figcaption",
         element(
             "strong",
-            f"{found.number}: {printable(finding.words, _LONGEST_LABEL)}".replace(
-                " %", "\N{NO-BREAK SPACE}%"
-            ),
+            f"{found.number}: ",
+            element("bdi", printable(finding.words, _LONGEST_LABEL).replace(" %", "\N{NO-BREAK SPACE}%")),
         ),
         element("br"),
         f"{flight}{where}at {clock(found.mission_s)}",

@@ -20,7 +20,7 @@ _FAULTS = {
     "hot-spot": "hot-spot",
     "broken-module": "broken module",
 }  # labels of the bundled detector, in words
-_MESSAGE = ""  # the label of what has none
+_RESULT = ""  # the label of what has none
 _MOST_KINDS = 6
 _LONGEST_LABEL = 40  # characters
 _Key: TypeAlias = tuple[int, int]  # of a finding: its flight and its place there
@@ -44,7 +44,7 @@ class FlightFindings:
 
 @dataclass(frozen=True, slots=True)
 class PlacedFinding:
-    """An object, or a message without one, under its number: the same on map, photo, list and in every file.
+    """An object, or a result without one, under its number: the same on map, photo, list and in every file.
 
     `finding` is the surest of its `sightings`, on `flight`, with the place by all of them. `best` says where that
     sighting stands, the index of its flight and of the finding there; `first` says the same of the first sighting.
@@ -192,17 +192,17 @@ def _told_at(flight: FlightFindings, index: int) -> Iterator[tuple[float, int, i
 
 def what_was_found(findings: Iterable[Finding]) -> str:
     """Such as "12 faults: 7 hot-spots, 5 broken modules", "2 hot-spots" or "1 finding"; empty where nothing is."""
-    kinds = Counter(finding.box.label if finding.box else _MESSAGE for finding in findings)
+    kinds = Counter(finding.box.label if finding.box else _RESULT for finding in findings)
     if not kinds:
         return ""
     if len(kinds) == 1:
         ((label, number),) = kinds.items()
-        return counted(number, "finding") if label == _MESSAGE else _of_kind(label, number)
-    shown = [kind for kind in kinds.most_common() if kind[0] != _MESSAGE][:_MOST_KINDS]
+        return counted(number, "finding") if label == _RESULT else _of_kind(label, number)
+    shown = [kind for kind in kinds.most_common() if kind[0] != _RESULT][:_MOST_KINDS]
     parts = [_of_kind(label, number) for label, number in shown]
-    if messages := kinds[_MESSAGE]:
-        parts.append(counted(messages, "message"))
-    if others := kinds.total() - messages - sum(number for _, number in shown):
+    if results := kinds[_RESULT]:
+        parts.append(counted(results, "result"))
+    if others := kinds.total() - results - sum(number for _, number in shown):
         parts.append(f"{others} of other kinds")
     noun = "fault" if kinds.keys() <= _FAULTS.keys() else "finding"
     return f"{counted(kinds.total(), noun)}: {', '.join(parts)}"

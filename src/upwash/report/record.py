@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -64,10 +65,11 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True)
 class Fix:
-    """Where the drone was at a second of the mission."""
+    """Where the drone was at a second of the mission; not a number above the sea where home's altitude is unknown."""
 
     at_s: float
     position: Position
+    above_sea_m: float
 
 
 class MissionEvents:
@@ -279,14 +281,17 @@ class _Track:
     def __init__(self, began_s: float) -> None:
         self._began_s = began_s
         self._last: Position | None = None
+        self._home_above_sea_m = math.nan
 
     def take(self, event: Event) -> Fix | None:
         """Takes in the next event; the place that it tells."""
+        if isinstance(event, schema.LimitsRead) and event.home_above_sea_m is not None:
+            self._home_above_sea_m = event.home_above_sea_m
         here = place_of(event, self._last) if event.t >= self._began_s else None
         if here is None or here == self._last:
             return None
         self._last = here
-        return Fix(event.t - self._began_s, here)
+        return Fix(event.t - self._began_s, here, self._home_above_sea_m + here.altitude_m)
 
 
 def place_of(event: Event, last: Position | None) -> Position | None:

@@ -122,7 +122,7 @@ def _fixes(record: Record, clock: RecordClock) -> Iterator[tuple[int, Message]]:
                 frame_id=FRAME,
                 latitude=place.latitude_deg,
                 longitude=place.longitude_deg,
-                altitude=fix.position.altitude_m,
+                altitude=fix.above_sea_m,
             ),
         )
 

@@ -287,7 +287,7 @@ def findings(found: Sequence[PlacedFinding], *, whose: bool = False) -> Markup:
             clock(each.mission_s),
             _at(each.finding.waypoint),
             coordinates(each),
-            each.finding.words,
+            element("bdi", each.finding.words),  # may be written from right to left
         ]
 
     return _long(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import os
+import re
 from pathlib import Path
 
 from upwash.core.geo import EarthPosition
@@ -20,13 +22,15 @@ _LONGEST_NAME = 80  # characters
 class FolderAlbum:
     """An Album in a folder: a JPEG a photo, and their places and angles in `geo.txt`, as OpenDroneMap reads it.
 
-    Photos of an earlier flight stay. Raises UsageError if the folder cannot be made.
+    Each flight has a folder of its own: `folder`, or where an earlier flight has photos there `folder`-2 and so on; a
+    flight that `resumes` has the last of these. Raises UsageError if the folder cannot be made.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, resumes: bool = False) -> None:
         try:
+            folder = _of_flight(folder, resumes=resumes)
             folder.mkdir(parents=True, exist_ok=True)
-            self._count = sum(1 for _ in folder.iterdir())
+            self._count = _photos_in(folder)
         except OSError as error:
             raise UsageError(
                 f"camera.keep: {folder} cannot be made: {error.strerror}; name another folder"
@@ -45,19 +49,16 @@ class FolderAlbum:
             jpeg = with_pose(jpeg, photo.angles_deg, photo.errors_m)
         name = self._name(photo.source)
         write_file(self._folder / name, jpeg)
+        self._count += 1
         if photo.earth is not None:
             self._append(_line(name, photo.earth, photo))
         return name
 
     def _name(self, source: str) -> str:
-        """A name that no other file has: the photo's number, and the name of its file if it came from one."""
+        """The photo's number, and the name of its file if it came from one."""
         stem = "".join(letter if letter.isalnum() else "_" for letter in Path(source).stem)[:_LONGEST_NAME]
         own = f"-{stem}" if Path(source).suffix.lower() in {".jpg", ".jpeg", ".png"} else ""
-        while True:
-            self._count += 1
-            name = f"{self._count:05}{own}.jpg"
-            if not (self._folder / name).exists():
-                return name
+        return f"{self._count + 1:05}{own}.jpg"
 
     def _append(self, line: str) -> None:
         file = self._folder / _GEO
@@ -70,6 +71,22 @@ class FolderAlbum:
                 os.close(descriptor)
         except OSError as error:
             raise NotWritten(file, error, "the photo is there without its line") from error
+
+
+def _of_flight(folder: Path, *, resumes: bool) -> Path:
+    others = (folder.with_name(f"{folder.name}-{number}") for number in itertools.count(2))
+    last = folder
+    for each in itertools.chain((folder,), others):
+        if not _photos_in(each):
+            return last if resumes else each
+        last = each
+    raise AssertionError  # the names have no end
+
+
+def _photos_in(folder: Path) -> int:
+    """The highest number of a photo that was kept there, 0 without one."""
+    numbers = (re.match(r"(\d{5,})(?:-.*)?\.jpg$", file.name) for file in folder.glob("*.jpg"))
+    return max((int(number[1]) for number in numbers if number), default=0)
 
 
 def _line(name: str, earth: EarthPosition, photo: KeptPhoto) -> str:

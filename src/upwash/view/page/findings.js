@@ -69,7 +69,7 @@ export class Findings {
     const where = finding.waypoint === null ? "" : `waypoint ${finding.waypoint} · `;
     const place = `${where}${story.timeOf(finding.at_s)}`;
     const whose = this.stories.length > 1 ? [badge(index + 1), " "] : [];
-    const [found, seen] = [element("span"), element("span", { class: "when" })];
+    const [found, seen] = [element("bdi"), element("span", { class: "when" })];
     const words = element(
       "span",
       { class: "words" },
