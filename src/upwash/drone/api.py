@@ -8,6 +8,7 @@ from typing import Any, Final, ParamSpec, TypeVar
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position, Waypoint
 from upwash.core.operation import Operation
+from upwash.drone.answered_photos import AnsweredPhotos
 from upwash.drone.mission import MissionThread
 from upwash.drone.payload import Payload
 from upwash.drone.pending import AnswerActions, Calls, Pending, position_of
@@ -27,13 +28,18 @@ _NOTHING: Final = object()  # is told
 class User:
     """Sends messages of a mission to the drone's user."""
 
-    def __init__(self, notifier: Notifier, thread: MissionThread) -> None:
+    def __init__(self, notifier: Notifier, thread: MissionThread, photos: AnsweredPhotos) -> None:
         self._notifier = notifier
         self._thread = thread
+        self._photos = photos
 
     def notify(self, message: object, at: Waypoint | Position) -> None:
-        """Sends the user a message about a waypoint or position."""
-        self._thread.call(self._notifier.notify(message, position_of(at)))
+        """Sends the user a message about a waypoint or position.
+
+        Objects of an answer, alone, in lists or in other values, lie on the photo that the call was made with.
+        """
+        photo = self._photos.number_of(message)
+        self._thread.call(self._notifier.notify(message, position_of(at), photo))
 
 
 class Drone:

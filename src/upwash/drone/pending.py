@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Callable, Coroutine, Iterable
 from functools import partial
 from typing import Any, Generic, ParamSpec, Protocol, TypeVar, cast
@@ -19,6 +20,7 @@ from msgspec.structs import asdict
 from upwash.core.geo import Position, Waypoint, distance_m
 from upwash.core.operation import Operation
 from upwash.core.planning.stay_or_go import Outlook, StayRule, StayVerdict
+from upwash.drone.answered_photos import AnsweredPhotos, NumberedPhoto
 from upwash.drone.mission import MissionThread
 from upwash.errors import Unanswered, UsageError
 from upwash.eventlog import schema
@@ -72,11 +74,20 @@ class Pending(Generic[T]):
     A call with two answers has a first one, and is over with the better one, or at its deadline.
     """
 
-    def __init__(self, calls: Calls, operation: Operation, method: Method, waypoint: int | None) -> None:
+    def __init__(
+        self,
+        calls: Calls,
+        operation: Operation,
+        method: Method,
+        *,
+        waypoint: int | None,
+        photo: NumberedPhoto | None,
+    ) -> None:
         self._calls = calls
         self.operation = operation
         self._method = method
         self._waypoint = waypoint
+        self._photo = photo
         self._task: asyncio.Task[Any]  # the loop makes both before the mission's next verb
         self._hearing: Hearing
         self._is_taken = False
@@ -91,7 +102,7 @@ class Pending(Generic[T]):
         """Waits for the answer and returns it; raises the call's exception."""
         waited_s = self._wait()
         try:
-            return self._answer()
+            return self._handed_over()
         finally:
             self._take(waited_s)
 
@@ -101,7 +112,7 @@ class Pending(Generic[T]):
         Where the call is over before, or has one answer, this is that answer; the call's exception is raised.
         """
         self._calls.do(self._heard())
-        return self._answer()
+        return self._handed_over()
 
     def cancel(self) -> None:
         """Drops the answer. The computation goes on, and the mission's next call waits for its end."""
@@ -110,6 +121,10 @@ class Pending(Generic[T]):
     def demands(self, question: Callable[[T], object] = bool) -> Demand[T]:
         """The argument `unless` of `Vehicle.goto`: stop the flight if `question(answer)` is true."""
         return Demand(self, question)
+
+    def _looked_at(self) -> contextlib.AbstractContextManager[None]:
+        """A block in which the mission's program looks at the answer."""
+        return self._calls.photos.looking_at(self._photo)
 
     async def _over(self) -> float:
         """Returns once the last answer is there, or will never be, after how many seconds; for the loop."""
@@ -130,9 +145,19 @@ class Pending(Generic[T]):
         """The same for the mission."""
         return self._calls.do(self._over())
 
+    def _handed_over(self) -> T:
+        """The last answer that is there, for the mission's program."""
+        self._calls.photos.hand_over(self._photo)
+        return self._answer()
+
     def _answer(self) -> T:
-        """The last answer that is there."""
-        return cast(T, self._method.result(self._reply()))
+        return self._answer_of(self._reply())
+
+    def _answer_of(self, reply: Any) -> T:
+        """The answer in a reply; raises the call's exception."""
+        answer = self._method.result(reply)
+        self._calls.photos.answered(answer, self._photo)
+        return cast(T, answer)
 
     def _reply(self) -> Any:
         return self._task.result() if self._task.done() else self._hearing.first.result()
@@ -213,13 +238,14 @@ class Demand(Generic[T]):
             reply = self.pending._reply()
             if self._holds is not None and reply is self._asked:
                 return self._holds
-            self._asked, answer = reply, self.pending._method.result(reply)
+            self._asked, answer = reply, self.pending._answer_of(reply)
         except Unanswered:
             self._holds = False  # there is nothing to act on
         except Exception:  # noqa: BLE001 - it is raised where the mission takes the answer
             self._holds = True
         else:
-            self._holds = bool(self._question(cast(T, answer)))
+            with self.pending._looked_at():
+                self._holds = bool(self._question(answer))
         return self._holds
 
 
@@ -236,8 +262,10 @@ class Calls:
         journal: Journal,
         *,
         waypoint: Callable[[], int | None],
+        photos: AnsweredPhotos | None = None,
         several: bool = False,
     ) -> None:
+        self.photos = photos or AnsweredPhotos()
         self._thread = thread
         self._invoke = invoke
         self._journal = journal
@@ -251,7 +279,11 @@ class Calls:
         """Makes a call and waits for its decoded reply; UsageError while another call is pending."""
         self._require_free(operation)
         after, self._dropped = self._dropped, None
-        return self.do(self._run(operation, method, request, after, waypoint=self._waypoint()))
+        photo = self._photo(method, request)
+        self.photos.hand_over(photo)
+        reply = self.do(self._run(operation, method, request, after, waypoint=self._waypoint()))
+        self.photos.answered(getattr(reply, "value", None), photo)
+        return reply
 
     def start(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Pending[T]:
         """Makes a call of a service's method with these arguments, and does not wait.
@@ -261,7 +293,7 @@ class Calls:
         operation, method, request = request_of(call, args, kwargs)
         self._require_free(operation)
         after, waypoint = self._dropped, self._waypoint()
-        started = Pending[T](self, operation, method, waypoint)
+        started = Pending[T](self, operation, method, waypoint=waypoint, photo=self._photo(method, request))
 
         def on_loop() -> None:
             self._journal.record(schema.CallStarted(operation=str(operation), waypoint=waypoint))
@@ -306,6 +338,9 @@ class Calls:
         """Ends calls that are still under way; for the loop, after the mission's last call."""
         calls = (self._under_way, self._dropped, *self._others)
         await end(*(call._task for call in calls if call is not None))
+
+    def _photo(self, method: Method, request: bytes) -> NumberedPhoto | None:
+        return self.photos.of_call(method.arguments(request).values())
 
     def _require_free(self, operation: Operation) -> None:
         self._thread.require_turn()
@@ -479,11 +514,13 @@ class AnswerAction(Generic[T]):
         except Exception as error:
             if self._failed is None:
                 raise
-            self._failed(error)
+            with self.pending._looked_at():
+                self._failed(error)
         else:
             if not demanded:
                 return
-            self._act(answer)
+            with self.pending._looked_at():
+                self._act(answer)
         if demanded:
             self._calls.note(schema.Acted(waypoint=self.waypoint))
 
