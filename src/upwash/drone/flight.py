@@ -564,6 +564,7 @@ class Flight:
                 outlook=self._offloading.outlook,
             ),
             action_s=self._config.mission.action_s,
+            on_rows=self._config.mission.photos is not None,
         )
 
 

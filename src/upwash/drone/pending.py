@@ -227,6 +227,11 @@ class Demand(Generic[T]):
         """Return when the question is due; for the loop."""
         await asyncio.wait(self.news, return_when=asyncio.FIRST_COMPLETED)
 
+    @property
+    def only_tells(self) -> bool:
+        """Whether no answer is a demand."""
+        return False
+
     def note(self) -> None:
         """Log the answer's demand, before the drone flies back to its waypoint."""
         pending = self.pending
@@ -247,6 +252,23 @@ class Demand(Generic[T]):
             with self.pending._looked_at():
                 self._holds = bool(self._question(answer))
         return self._holds
+
+
+class NoDemand(Demand[T]):
+    """Stands for the question about an answer that the mission only tells; a failed call demands nothing either."""
+
+    def __init__(self, pending: Pending[T]) -> None:
+        super().__init__(pending, lambda _: False)
+
+    @property
+    def only_tells(self) -> bool:
+        """True."""
+        return True
+
+    def holds(self) -> bool:
+        """False for every answer."""
+        self._holds = False
+        return False
 
 
 class Calls:
@@ -321,6 +343,10 @@ class Calls:
         if self._under_way is call:
             self._under_way, self._dropped = None, call
         self._thread.post(lambda: call._hearing.enough.set())  # noqa: PLW0108 - the loop makes it
+
+    def beside_a_leg(self, is_beside: bool) -> contextlib.AbstractContextManager[None]:
+        """A block in which the mission may only notify, if it `is_beside` a leg."""
+        return self._thread.only_messages() if is_beside else contextlib.nullcontext()
 
     def do(self, verb: Coroutine[Any, Any, T]) -> T:
         """Does that on the loop's thread, and waits for it."""
@@ -420,7 +446,8 @@ class VehicleVerbs(Protocol):
 class AnswerAction(Generic[T]):
     """What to do about an answer, from the call on until it is done: `act`, at its place, if the answer demands it.
 
-    An exception of the call goes to `failed` there, or to the mission without `failed`.
+    An exception of the call goes to `failed` there, or to the mission without `failed`. With `NoDemand` `act` tells
+    each answer, at any place, and only notifies.
     """
 
     def __init__(
@@ -471,7 +498,7 @@ class AnswerAction(Generic[T]):
 
     def fly_on(self, place: Place) -> None:
         """Fly one leg with the answer open; wait for it before another leg."""
-        if self.is_away:
+        if self.is_away and not self.only_tells:
             self.settle(puts_off=True)
             self._vehicle.fly(place)
             return
@@ -514,15 +541,17 @@ class AnswerAction(Generic[T]):
         except Exception as error:
             if self._failed is None:
                 raise
-            with self.pending._looked_at():
-                self._failed(error)
+            self._have_told(partial(self._failed, error))
         else:
-            if not demanded:
-                return
-            with self.pending._looked_at():
-                self._act(answer)
+            if demanded or self.only_tells:
+                self._have_told(partial(self._act, answer))
         if demanded:
             self._calls.note(schema.Acted(waypoint=self.waypoint))
+
+    def _have_told(self, do: Callable[[], object]) -> None:
+        """Have the mission do that about the answer; it may fly only where it acts."""
+        with self.pending._looked_at(), self._calls.beside_a_leg(self.only_tells):
+            do()
 
     def put_off(self) -> None:
         """Note that the act is put off: the answer is none that is waited for."""
@@ -533,7 +562,7 @@ class AnswerAction(Generic[T]):
         """Have the rule learn from the last answer, once."""
         if self._is_learnt or not self.pending.done():
             return
-        if self.needs_server:  # it says little of the answers that the drone may wait for
+        if self.needs_server or self.only_tells:  # it says little of the answers that the drone may wait for
             return
         self._is_learnt = True
         place = position_of(self.place) if self.place is not None else None
@@ -543,6 +572,11 @@ class AnswerAction(Generic[T]):
     def needs_server(self) -> bool:
         """Whether only servers compute the call."""
         return self.pending.needs_server
+
+    @property
+    def only_tells(self) -> bool:
+        """Whether the drone does not wait or fly for the answer."""
+        return self.demand.only_tells
 
 
 async def one_answered(
@@ -573,7 +607,7 @@ class AnswerActions:
         self, demand: Demand[T], act: Callable[[T], object], failed: Callable[[Exception], object] | None
     ) -> None:
         """Waits for the answer and acts on it, or leaves it open and returns."""
-        answer = AnswerAction(self._vehicle, self._calls, self._rule, demand, act, failed=failed)
+        answer = self._action(demand, act, failed)
         if self._vehicle.flies_rows or answer.needs_server:
             self._vehicle.leave_open(answer)
             return
@@ -585,6 +619,17 @@ class AnswerActions:
                 return
         if not answer.hear():
             self._vehicle.leave_open(answer)
+
+    def tell(
+        self, pending: Pending[T], tell: Callable[[T], object], failed: Callable[[Exception], object] | None
+    ) -> None:
+        """Has the verbs that follow tell the answer, once it is there."""
+        self._vehicle.leave_open(self._action(NoDemand(pending), tell, failed))
+
+    def _action(
+        self, demand: Demand[T], act: Callable[[T], object], failed: Callable[[Exception], object] | None
+    ) -> AnswerAction[T]:
+        return AnswerAction(self._vehicle, self._calls, self._rule, demand, act, failed=failed)
 
     async def _judge(self, place: Place | None) -> StayVerdict:
         return self._rule.decide(self._outlook(), position_of(place) if place is not None else None)
