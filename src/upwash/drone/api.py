@@ -182,9 +182,9 @@ class Drone:
     ) -> None:
         """Calls `tell(answer)` as soon as the answer is there, wherever the drone is then; it flies on meanwhile.
 
-        `goto` and verbs that wait for answers call it, in the order of the answers; before the way down all are told.
-        Of two answers the last is told. If the call raises an exception, `failed` gets it; without `failed` that
-        verb raises it. Both may only notify: other verbs raise UsageError there.
+        `goto` and verbs that wait for answers call it, in the order of the answers. The way down begins after the
+        last answer. Of two answers the last counts. If the call raises an exception, `failed` gets the exception;
+        without `failed` that verb raises it. `tell` and `failed` may only notify: other verbs raise UsageError.
         """
         self._answers.tell(pending, tell, failed)
 

@@ -123,7 +123,7 @@ class Pending(Generic[T]):
         return Demand(self, question)
 
     def _looked_at(self) -> contextlib.AbstractContextManager[None]:
-        """A block in which the mission's program looks at the answer."""
+        """A block during which the mission's program looks at the answer."""
         return self._calls.photos.looking_at(self._photo)
 
     async def _over(self) -> float:
@@ -345,7 +345,7 @@ class Calls:
         self._thread.post(lambda: call._hearing.enough.set())  # noqa: PLW0108 - the loop makes it
 
     def beside_a_leg(self, is_beside: bool) -> contextlib.AbstractContextManager[None]:
-        """A block in which the mission may only notify, if it `is_beside` a leg."""
+        """A block during which the mission may only notify, if `is_beside`."""
         return self._thread.only_messages() if is_beside else contextlib.nullcontext()
 
     def do(self, verb: Coroutine[Any, Any, T]) -> T:

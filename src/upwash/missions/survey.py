@@ -52,7 +52,7 @@ def notify_failure(drone: Drone, waypoint: Waypoint, error: Exception) -> None:
 
 
 def notify(drone: Drone, waypoint: Waypoint, found: list[Detection]) -> None:
-    """Notify the user of what was found at the waypoint, if anything was."""
+    """Notify the user of the findings at the waypoint, if there are any."""
     if found:
         drone.user.notify(found, at=waypoint)
 
