@@ -15,6 +15,7 @@ from collections.abc import Callable, Coroutine, Iterable
 from functools import partial
 from typing import Any, Generic, ParamSpec, Protocol, TypeVar, cast
 
+import msgspec
 from msgspec.structs import asdict
 
 from upwash.core.geo import Position, Waypoint, distance_m
@@ -366,7 +367,10 @@ class Calls:
         await end(*(call._task for call in calls if call is not None))
 
     def _photo(self, method: Method, request: bytes) -> NumberedPhoto | None:
-        return self.photos.of_call(method.arguments(request).values())
+        try:
+            return self.photos.of_call(method.arguments(request).values())
+        except msgspec.MsgspecError:  # the service refuses them
+            return self.photos.of_call(())
 
     def _require_free(self, operation: Operation) -> None:
         self._thread.require_turn()
