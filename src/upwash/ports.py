@@ -303,8 +303,8 @@ class Album(Protocol):
 class Notifier(Protocol):
     """Sends messages to the drone's user."""
 
-    async def notify(self, message: object, at: Position) -> None:
-        """Sends the user a message about a finding at a position."""
+    async def notify(self, message: object, at: Position, photo: int | None = None) -> None:
+        """Sends the user a message about a finding at a position, on the photo of that number, None for the last."""
 
 
 class Journal(Protocol):

@@ -224,12 +224,12 @@ def test_with_unless_a_leg_begins_at_rest() -> None:
 @pytest.mark.parametrize("killed_at_s", [14.0, 21.0, 26.0, 27.5, 30.0, 33.0, 41.0, 48.0, 60.0, 75.0])
 def test_killed_on_a_row_it_takes_again_the_photos_without_an_answer(killed_at_s: float) -> None:
     """Answers are 10 s late, and those of spots 2 and 8 have a demand."""
-    shows = [PLAN[2], PLAN[8]]
-    first = fly(rows(), killed_at_s=killed_at_s, shows=shows)
+    config, shows = scenario(waypoints_m=ROWS, photos={"every_m": 20.0}, action_s=0.1), [PLAN[2], PLAN[8]]
+    first = fly(config, killed_at_s=killed_at_s, shows=shows)
     taken = {event.waypoint for event in of(first.events, schema.AnswerTaken) if not event.demanded}
     acted = {event.waypoint for event in of(first.events, schema.Acted)}
     assert "mission_completed" not in first.names()
-    both = fly(rows(), after=first, shows=shows)
+    both = fly(config, after=first, shows=shows)
     assert both.error is None
     again = after_resumption(both, first)
     photos = [event.waypoint for event in again if isinstance(event, schema.CallStarted)]

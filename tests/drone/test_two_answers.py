@@ -82,6 +82,13 @@ def test_a_demand_of_either_answer_is_met_once_and_a_better_one_turns_the_drone_
     assert len(run.result.calls) == 3
 
 
+@pytest.mark.parametrize(("event", "told"), [(MISSED, 3), (FALSE, 0)], ids=["better", "first"])
+def test_a_survey_that_tells_tells_the_better_answers(event: dict[str, Any], told: int) -> None:
+    run = fly(NEAR, mission={**ROWS, "action_s": 0.0}, event=event)
+    assert len(of(list(run.events), schema.Notified)) == told
+    assert turned(run) == acted(run) == []
+
+
 def test_a_drone_that_stays_waits_for_the_first_answer_alone() -> None:
     both, light = fly(NEAR), fly(two=None, mode="light")
     assert [(call.server, call.key) for call in both.result.calls] == [("s1", "heavy")] * 3

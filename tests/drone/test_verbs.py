@@ -71,6 +71,9 @@ class Field:
             ),
         )
 
+    def require_turn(self) -> None:
+        """It is always the mission's turn."""
+
     def call(self, verb: Any) -> Any:
         async def timed() -> Any:
             try:

@@ -201,29 +201,20 @@ NOTIFIED = event("notified", 9.0, message=[BOX])
 PHOTO = event("photo", 1.0, source="park 1")
 
 
-def started(waypoint: int) -> Event:
-    return event("call_started", 1.0, waypoint=waypoint)
-
-
-def taken(waypoint: int) -> Event:
-    return event("answer_taken", 1.0, waypoint=waypoint)
-
-
-def test_a_message_is_about_the_last_photo_or_that_of_the_answer() -> None:
+def test_a_message_is_about_the_last_photo_or_the_one_that_it_names() -> None:
     assert told_of([NOTIFIED]) == [None]
     assert told_of([PHOTO, NOTIFIED, PHOTO, NOTIFIED]) == [0, 1]
-    went_on = [PHOTO, started(0), PHOTO, started(1), taken(0), NOTIFIED, taken(1), NOTIFIED]
-    assert told_of(went_on) == [0, 1]
+    of_first, of_none = (event("notified", 9.0, message=[BOX], photo=number) for number in (0, 7))
+    assert told_of([PHOTO, PHOTO, of_first, NOTIFIED, of_none]) == [0, 1, None]
 
 
-def test_two_calls_of_one_photo_are_both_about_it() -> None:
-    twice = [PHOTO, started(0), started(0), PHOTO, started(1), taken(0), taken(1), taken(0), NOTIFIED]
-    assert told_of(twice) == [0]
+def test_the_numbers_of_photos_begin_again_with_the_program() -> None:
+    resumed = [PHOTO, PHOTO, event("log_resumed", 2.0), PHOTO, PHOTO]
+    assert told_of([*resumed, event("notified", 9.0, message=[BOX], photo=0)]) == [2]
 
 
-def test_no_more_is_remembered_than_calls_that_are_open() -> None:
+def test_a_bounded_number_of_photos_is_remembered() -> None:
     pairing = Pairing()
-    for waypoint in range(1000):
-        for each in (PHOTO, started(waypoint), taken(waypoint)):
-            pairing.take(each)
-    assert not pairing._of_call
+    for _ in range(10_010):
+        pairing.take(PHOTO)
+    assert len(pairing._taken) == 10_000

@@ -314,7 +314,7 @@ def test_an_answer_that_comes_after_the_next_photo_is_drawn_on_its_own(flown: Pa
             {**FLOWN[6], "t": 5.0},
             {**begun, "t": 5.1, "waypoint": 1},
             {"t": 6.0, "event": "answer_taken", "waypoint": 0, "waited_s": 0.0},
-            told(6.1, FOUND),
+            {**told(6.1, FOUND), "photo": 0},
         ],
     )
     assert [texts for _, texts in annotated(log)] == [["1 damage 90 %"], []]

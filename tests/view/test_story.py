@@ -289,7 +289,11 @@ def test_the_way_back_is_told_and_that_answers_were_open(going: list[Fact]) -> N
 def rows() -> list[Fact]:
     photos = {"every_m": 20.0, "at_most": 3}
     run = simulate(
-        survey(mission={"photos": photos}, policy={"name": "local-only"}, event={"every": 6, "offset": 2})
+        survey(
+            mission={"photos": photos, "action_s": 0.1},
+            policy={"name": "local-only"},
+            event={"every": 6, "offset": 2},
+        )
     )
     return tell(run.events)
 

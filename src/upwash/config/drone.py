@@ -120,7 +120,8 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The rows of the grid, the legs 0, 2, 4 ... of `waypoints_m`, or those of the plan where it triggers the camera,
     are flown without stopping for photos."""
     action_s: values.NotNegative = 0.0
-    """The duration of an action that an answer demands at its waypoint, in seconds."""
+    """The duration of an action that an answer demands at its waypoint, in seconds. With 0 the bundled mission only
+    tells answers of [rows](rows.md), and never turns back."""
     order: values.FlightOrder = "given"
     """The order of the waypoints: [orders](missions.md#the-order-of-the-waypoints)."""
     reserve_percent: values.Percent | None = None
@@ -132,6 +133,11 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The time by which the mission must end, in seconds from arming: [lighter calls](lighter.md)."""
     lighter: values.KeysByKey = {}
     """The lighter profile key of calls while the mission would end after `finish_by_s`."""
+
+    @property
+    def only_tells(self) -> bool:
+        """Whether the bundled mission tells the answers of its rows in flight, as no action takes any time."""
+        return self.program == "survey" and self.photos is not None and not self.action_s
 
 
 class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

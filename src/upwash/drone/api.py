@@ -8,6 +8,7 @@ from typing import Any, Final, ParamSpec, TypeVar
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position, Waypoint
 from upwash.core.operation import Operation
+from upwash.drone.answered_photos import AnsweredPhotos
 from upwash.drone.mission import MissionThread
 from upwash.drone.payload import Payload
 from upwash.drone.pending import AnswerActions, Calls, Pending, position_of
@@ -27,25 +28,32 @@ _NOTHING: Final = object()  # is told
 class User:
     """Sends messages of a mission to the drone's user."""
 
-    def __init__(self, notifier: Notifier, thread: MissionThread) -> None:
+    def __init__(self, notifier: Notifier, thread: MissionThread, photos: AnsweredPhotos) -> None:
         self._notifier = notifier
         self._thread = thread
+        self._photos = photos
 
     def notify(self, message: object, at: Waypoint | Position) -> None:
-        """Sends the user a message about a waypoint or position."""
-        self._thread.call(self._notifier.notify(message, position_of(at)))
+        """Sends the user a message about a waypoint or position.
+
+        Objects of an answer, alone, in lists or in other values, lie on the photo that the call was made with.
+        """
+        photo = self._photos.number_of(message)
+        self._thread.call(self._notifier.notify(message, position_of(at), photo), is_message=True)
 
 
 class Drone:
     """The drone of a mission program; only the mission's own thread may call its methods.
 
-    `plan` has the waypoints to visit, in flight order. `altitude_m`, above home, and `action_s`, the duration of an
-    action at a waypoint, are configured. `home` is where east and north are 0; None if no file says.
+    `plan` has the waypoints to visit, in flight order. Configured are `altitude_m`, above home, `action_s`, the
+    duration of an action at a waypoint, and `on_rows`, whether photos are taken without stopping. `home` is where
+    east and north are 0; None if no file says.
     """
 
     plan: tuple[Waypoint, ...]
     altitude_m: float
     action_s: float
+    on_rows: bool
     autopilot: Vehicle
     camera: Photographer
     payload: Payload
@@ -69,6 +77,7 @@ class Drone:
         settle: Callable[[], None],
         leave: Callable[[], None],
         action_s: float = 0.0,
+        on_rows: bool = False,
     ) -> None:
         self.plan = plan
         self.altitude_m = altitude_m
@@ -80,6 +89,7 @@ class Drone:
         self._ending = ending
         self._services = services
         self.action_s = action_s
+        self.on_rows = on_rows
         self._calls = calls
         self._answers = answers
         self._settle = settle  # the answer that is open
@@ -162,6 +172,21 @@ class Drone:
         method that waits raises it there. On a row of `mission.photos` the mission goes on over many waypoints.
         """
         self._answers.run(pending.demands(demands), act, failed)
+
+    def when_answered(
+        self,
+        pending: Pending[T],
+        tell: Callable[[T], object],
+        *,
+        failed: Callable[[Exception], object] | None = None,
+    ) -> None:
+        """Calls `tell(answer)` as soon as the answer is there, wherever the drone is then; it flies on meanwhile.
+
+        `goto` and verbs that wait for answers call it, in the order of the answers. The way down begins after the
+        last answer. Of two answers the last counts. If the call raises an exception, `failed` gets the exception;
+        without `failed` that verb raises it. `tell` and `failed` may only notify: other verbs raise UsageError.
+        """
+        self._answers.tell(pending, tell, failed)
 
     def _call(self, operation: Operation, method: Method, request: bytes) -> Any:
         self._settle()

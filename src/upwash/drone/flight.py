@@ -32,6 +32,7 @@ from upwash.core.planning.stay_or_go import StayRule
 from upwash.core.policies.policy import Policy
 from upwash.core.selection.selection import Selection
 from upwash.core.vehicle.control import Control
+from upwash.drone.answered_photos import AnsweredPhotos
 from upwash.drone.api import Drone, Mission, User
 from upwash.drone.coming_down import end_safely, follow
 from upwash.drone.deadlines import require_deadlines
@@ -185,10 +186,12 @@ class Flight:
             rows=self._row_rules(specs, selection),
         )
         self._handle = VehicleHandle(self._vehicle)
+        self._photos = AnsweredPhotos()
         self._calls = Calls(
             self._thread,
             self._offloading.invoke,
             ports.journal,
+            photos=self._photos,
             waypoint=lambda: self._vehicle.waypoint,
             several=self._offloading.server_calls is not None,
         )
@@ -545,10 +548,11 @@ class Flight:
                 payload=payload,
                 ground=self._ports.ground,
                 album=self._ports.album,
+                photos=self._photos,
             ),
             payload=payload,
             home=home.place if home else None,
-            user=User(self._ports.notifier, self._thread),
+            user=User(self._ports.notifier, self._thread, self._photos),
             services=frozenset(service.name for service in self._config.services),
             calls=self._calls,
             settle=self._handle.settle_for_call,
@@ -560,6 +564,7 @@ class Flight:
                 outlook=self._offloading.outlook,
             ),
             action_s=self._config.mission.action_s,
+            on_rows=self._config.mission.photos is not None,
         )
 
 

@@ -12,7 +12,7 @@ import asyncio
 import contextlib
 import threading
 import traceback
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterator
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, Protocol, TypeVar, cast, runtime_checkable
@@ -27,6 +27,10 @@ _UPWASH = Path(__file__).parents[1]
 _OTHER_THREAD = (
     "a verb or a call came from another thread than the mission's, which alone flies the drone: to go on while a "
     "call runs, start it with drone.start(...)"
+)
+_ONLY_MESSAGES = (
+    "the mission tells an answer while the drone may be on a leg: only drone.user.notify is possible there; for an "
+    "act at the answer's place use drone.stay_or_go(pending, act)"
 )
 _GRACE_S = 5.0  # for a mission's own last words, once it has been stopped
 
@@ -64,17 +68,18 @@ class MissionThread:
         self._ended: asyncio.Future[Exception | None] = self._loop.create_future()
         self._thread: threading.Thread | None = None  # noqa: TID251 - once it runs
         self._stopped = ""  # why, once it is
+        self._only_messages = False
         self._verb: asyncio.Task[Any] | None = None
         self._ended_verbs: SimpleQueue[asyncio.Task[Any]] = SimpleQueue()
         self._turn = self._loop.mission_turn() if isinstance(self._loop, TurnTaking) else None
 
-    def call(self, verb: Coroutine[Any, Any, T]) -> T:
+    def call(self, verb: Coroutine[Any, Any, T], *, is_message: bool = False) -> T:
         """Runs a verb on the loop and returns its result.
 
         Raises UsageError in any thread but the mission's, and MissionStopped from `stop` on.
         """
         try:
-            self.require_turn()
+            self.require_turn(is_message=is_message)
         except UpwashError:
             verb.close()
             raise
@@ -85,6 +90,15 @@ class MissionThread:
         if ended.cancelled():
             raise MissionStopped(self._stopped or "the program is ending")
         return cast(T, ended.result())
+
+    @contextlib.contextmanager
+    def only_messages(self) -> Iterator[None]:
+        """Raise UsageError for other verbs than messages during the block, in the mission's thread."""
+        self._only_messages = True
+        try:
+            yield
+        finally:
+            self._only_messages = False
 
     def post(self, do: Callable[[], object]) -> None:
         """Have the loop call `do` before the mission's next verb, without waiting for it."""
@@ -129,12 +143,14 @@ class MissionThread:
         if self._verb is not None:
             self._verb.cancel()
 
-    def require_turn(self) -> None:
+    def require_turn(self, *, is_message: bool = False) -> None:
         """Raises UsageError in any thread but the mission's, and MissionStopped from `stop` on."""
         if threading.current_thread() is not self._thread:
             raise UsageError(_OTHER_THREAD)
         if self._stopped:
             raise MissionStopped(self._stopped)
+        if self._only_messages and not is_message:
+            raise UsageError(_ONLY_MESSAGES)
 
     def _settle_from_thread(self, failure: Exception | None) -> None:
         with contextlib.suppress(RuntimeError):  # the loop is closed

@@ -10,15 +10,18 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Callable, Coroutine, Iterable
 from functools import partial
 from typing import Any, Generic, ParamSpec, Protocol, TypeVar, cast
 
+import msgspec
 from msgspec.structs import asdict
 
 from upwash.core.geo import Position, Waypoint, distance_m
 from upwash.core.operation import Operation
 from upwash.core.planning.stay_or_go import Outlook, StayRule, StayVerdict
+from upwash.drone.answered_photos import AnsweredPhotos, NumberedPhoto
 from upwash.drone.mission import MissionThread
 from upwash.errors import Unanswered, UsageError
 from upwash.eventlog import schema
@@ -72,11 +75,20 @@ class Pending(Generic[T]):
     A call with two answers has a first one, and is over with the better one, or at its deadline.
     """
 
-    def __init__(self, calls: Calls, operation: Operation, method: Method, waypoint: int | None) -> None:
+    def __init__(
+        self,
+        calls: Calls,
+        operation: Operation,
+        method: Method,
+        *,
+        waypoint: int | None,
+        photo: NumberedPhoto | None,
+    ) -> None:
         self._calls = calls
         self.operation = operation
         self._method = method
         self._waypoint = waypoint
+        self._photo = photo
         self._task: asyncio.Task[Any]  # the loop makes both before the mission's next verb
         self._hearing: Hearing
         self._is_taken = False
@@ -91,7 +103,7 @@ class Pending(Generic[T]):
         """Waits for the answer and returns it; raises the call's exception."""
         waited_s = self._wait()
         try:
-            return self._answer()
+            return self._handed_over()
         finally:
             self._take(waited_s)
 
@@ -101,7 +113,7 @@ class Pending(Generic[T]):
         Where the call is over before, or has one answer, this is that answer; the call's exception is raised.
         """
         self._calls.do(self._heard())
-        return self._answer()
+        return self._handed_over()
 
     def cancel(self) -> None:
         """Drops the answer. The computation goes on, and the mission's next call waits for its end."""
@@ -110,6 +122,10 @@ class Pending(Generic[T]):
     def demands(self, question: Callable[[T], object] = bool) -> Demand[T]:
         """The argument `unless` of `Vehicle.goto`: stop the flight if `question(answer)` is true."""
         return Demand(self, question)
+
+    def _looked_at(self) -> contextlib.AbstractContextManager[None]:
+        """A block during which the mission's program looks at the answer."""
+        return self._calls.photos.looking_at(self._photo)
 
     async def _over(self) -> float:
         """Returns once the last answer is there, or will never be, after how many seconds; for the loop."""
@@ -130,9 +146,19 @@ class Pending(Generic[T]):
         """The same for the mission."""
         return self._calls.do(self._over())
 
+    def _handed_over(self) -> T:
+        """The last answer that is there, for the mission's program."""
+        self._calls.photos.hand_over(self._photo)
+        return self._answer()
+
     def _answer(self) -> T:
-        """The last answer that is there."""
-        return cast(T, self._method.result(self._reply()))
+        return self._answer_of(self._reply())
+
+    def _answer_of(self, reply: Any) -> T:
+        """The answer in a reply; raises the call's exception."""
+        answer = self._method.result(reply)
+        self._calls.photos.answered(answer, self._photo)
+        return cast(T, answer)
 
     def _reply(self) -> Any:
         return self._task.result() if self._task.done() else self._hearing.first.result()
@@ -202,6 +228,11 @@ class Demand(Generic[T]):
         """Return when the question is due; for the loop."""
         await asyncio.wait(self.news, return_when=asyncio.FIRST_COMPLETED)
 
+    @property
+    def only_tells(self) -> bool:
+        """Whether no answer is a demand."""
+        return False
+
     def note(self) -> None:
         """Log the answer's demand, before the drone flies back to its waypoint."""
         pending = self.pending
@@ -213,14 +244,32 @@ class Demand(Generic[T]):
             reply = self.pending._reply()
             if self._holds is not None and reply is self._asked:
                 return self._holds
-            self._asked, answer = reply, self.pending._method.result(reply)
+            self._asked, answer = reply, self.pending._answer_of(reply)
         except Unanswered:
             self._holds = False  # there is nothing to act on
         except Exception:  # noqa: BLE001 - it is raised where the mission takes the answer
             self._holds = True
         else:
-            self._holds = bool(self._question(cast(T, answer)))
+            with self.pending._looked_at():
+                self._holds = bool(self._question(answer))
         return self._holds
+
+
+class NoDemand(Demand[T]):
+    """Stands for the question about an answer that the mission only tells; a failed call demands nothing either."""
+
+    def __init__(self, pending: Pending[T]) -> None:
+        super().__init__(pending, lambda _: False)
+
+    @property
+    def only_tells(self) -> bool:
+        """True."""
+        return True
+
+    def holds(self) -> bool:
+        """False for every answer."""
+        self._holds = False
+        return False
 
 
 class Calls:
@@ -236,8 +285,10 @@ class Calls:
         journal: Journal,
         *,
         waypoint: Callable[[], int | None],
+        photos: AnsweredPhotos | None = None,
         several: bool = False,
     ) -> None:
+        self.photos = photos or AnsweredPhotos()
         self._thread = thread
         self._invoke = invoke
         self._journal = journal
@@ -251,7 +302,11 @@ class Calls:
         """Makes a call and waits for its decoded reply; UsageError while another call is pending."""
         self._require_free(operation)
         after, self._dropped = self._dropped, None
-        return self.do(self._run(operation, method, request, after, waypoint=self._waypoint()))
+        photo = self._photo(method, request)
+        self.photos.hand_over(photo)
+        reply = self.do(self._run(operation, method, request, after, waypoint=self._waypoint()))
+        self.photos.answered(getattr(reply, "value", None), photo)
+        return reply
 
     def start(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Pending[T]:
         """Makes a call of a service's method with these arguments, and does not wait.
@@ -261,7 +316,7 @@ class Calls:
         operation, method, request = request_of(call, args, kwargs)
         self._require_free(operation)
         after, waypoint = self._dropped, self._waypoint()
-        started = Pending[T](self, operation, method, waypoint)
+        started = Pending[T](self, operation, method, waypoint=waypoint, photo=self._photo(method, request))
 
         def on_loop() -> None:
             self._journal.record(schema.CallStarted(operation=str(operation), waypoint=waypoint))
@@ -290,6 +345,10 @@ class Calls:
             self._under_way, self._dropped = None, call
         self._thread.post(lambda: call._hearing.enough.set())  # noqa: PLW0108 - the loop makes it
 
+    def beside_a_leg(self, is_beside: bool) -> contextlib.AbstractContextManager[None]:
+        """A block during which the mission may only notify, if `is_beside`."""
+        return self._thread.only_messages() if is_beside else contextlib.nullcontext()
+
     def do(self, verb: Coroutine[Any, Any, T]) -> T:
         """Does that on the loop's thread, and waits for it."""
         return self._thread.call(verb)
@@ -306,6 +365,12 @@ class Calls:
         """Ends calls that are still under way; for the loop, after the mission's last call."""
         calls = (self._under_way, self._dropped, *self._others)
         await end(*(call._task for call in calls if call is not None))
+
+    def _photo(self, method: Method, request: bytes) -> NumberedPhoto | None:
+        try:
+            return self.photos.of_call(method.arguments(request).values())
+        except msgspec.MsgspecError:  # the service refuses them
+            return self.photos.of_call(())
 
     def _require_free(self, operation: Operation) -> None:
         self._thread.require_turn()
@@ -385,7 +450,8 @@ class VehicleVerbs(Protocol):
 class AnswerAction(Generic[T]):
     """What to do about an answer, from the call on until it is done: `act`, at its place, if the answer demands it.
 
-    An exception of the call goes to `failed` there, or to the mission without `failed`.
+    An exception of the call goes to `failed` there, or to the mission without `failed`. With `NoDemand` `act` tells
+    each answer, at any place, and only notifies.
     """
 
     def __init__(
@@ -436,7 +502,7 @@ class AnswerAction(Generic[T]):
 
     def fly_on(self, place: Place) -> None:
         """Fly one leg with the answer open; wait for it before another leg."""
-        if self.is_away:
+        if self.is_away and not self.only_tells:
             self.settle(puts_off=True)
             self._vehicle.fly(place)
             return
@@ -479,13 +545,17 @@ class AnswerAction(Generic[T]):
         except Exception as error:
             if self._failed is None:
                 raise
-            self._failed(error)
+            self._have_told(partial(self._failed, error))
         else:
-            if not demanded:
-                return
-            self._act(answer)
+            if demanded or self.only_tells:
+                self._have_told(partial(self._act, answer))
         if demanded:
             self._calls.note(schema.Acted(waypoint=self.waypoint))
+
+    def _have_told(self, do: Callable[[], object]) -> None:
+        """Have the mission do that about the answer; it may fly only where it acts."""
+        with self.pending._looked_at(), self._calls.beside_a_leg(self.only_tells):
+            do()
 
     def put_off(self) -> None:
         """Note that the act is put off: the answer is none that is waited for."""
@@ -496,7 +566,7 @@ class AnswerAction(Generic[T]):
         """Have the rule learn from the last answer, once."""
         if self._is_learnt or not self.pending.done():
             return
-        if self.needs_server:  # it says little of the answers that the drone may wait for
+        if self.needs_server or self.only_tells:  # it says little of the answers that the drone may wait for
             return
         self._is_learnt = True
         place = position_of(self.place) if self.place is not None else None
@@ -506,6 +576,11 @@ class AnswerAction(Generic[T]):
     def needs_server(self) -> bool:
         """Whether only servers compute the call."""
         return self.pending.needs_server
+
+    @property
+    def only_tells(self) -> bool:
+        """Whether the drone does not wait or fly for the answer."""
+        return self.demand.only_tells
 
 
 async def one_answered(
@@ -536,7 +611,7 @@ class AnswerActions:
         self, demand: Demand[T], act: Callable[[T], object], failed: Callable[[Exception], object] | None
     ) -> None:
         """Waits for the answer and acts on it, or leaves it open and returns."""
-        answer = AnswerAction(self._vehicle, self._calls, self._rule, demand, act, failed=failed)
+        answer = self._action(demand, act, failed)
         if self._vehicle.flies_rows or answer.needs_server:
             self._vehicle.leave_open(answer)
             return
@@ -548,6 +623,17 @@ class AnswerActions:
                 return
         if not answer.hear():
             self._vehicle.leave_open(answer)
+
+    def tell(
+        self, pending: Pending[T], tell: Callable[[T], object], failed: Callable[[Exception], object] | None
+    ) -> None:
+        """Has the verbs that follow tell the answer, once it is there."""
+        self._vehicle.leave_open(self._action(NoDemand(pending), tell, failed))
+
+    def _action(
+        self, demand: Demand[T], act: Callable[[T], object], failed: Callable[[Exception], object] | None
+    ) -> AnswerAction[T]:
+        return AnswerAction(self._vehicle, self._calls, self._rule, demand, act, failed=failed)
 
     async def _judge(self, place: Place | None) -> StayVerdict:
         return self._rule.decide(self._outlook(), position_of(place) if place is not None else None)

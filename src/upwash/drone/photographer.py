@@ -30,6 +30,7 @@ from upwash.core.geo import (
     rounded,
 )
 from upwash.core.vehicle.telemetry import Attitude, FixKind, GpsFix, Telemetry
+from upwash.drone.answered_photos import AnsweredPhotos
 from upwash.drone.mission import MissionThread
 from upwash.drone.payload import Payload
 from upwash.errors import CameraError, NotWritten
@@ -61,18 +62,22 @@ class PhotoPose:
     attitude: Attitude | None
     heading_deg: float | None
     _geometry: PhotoGeometry | None
+    _photos: AnsweredPhotos
 
     def place_of(self, found: object) -> Place | Unplaced:
         """Where an object lies that a service found on the photo, or why that is unknown.
 
-        The object is a box or a point with a label, as `upwash.services.Detection` or a class of one's own.
+        An object of an answer is placed by the photo that the call was made with. The object is a box or a point with
+        a label, as `upwash.services.Detection` or a class of one's own.
         """
         objects = found_objects(msgspec.to_builtins(found))
         if objects is None or len(objects) != 1:
             return Unplaced("it is no box or point with a label")
-        if self._geometry is None:
+        own = self._photos.of_objects(found)
+        geometry = self._geometry if own is None else own.geometry
+        if geometry is None:
             return Unplaced("the camera's lens is unknown: set camera.fov_deg")
-        sight = self._geometry.sight
+        sight = geometry.sight
         return sight if isinstance(sight, Unplaced) else sight.place_of(*objects[0].middle_and_size)
 
 
@@ -99,6 +104,7 @@ class Photographer:
         payload: Payload,
         ground: Callable[[Position], Ground] = level_ground,
         album: Album | None = None,
+        photos: AnsweredPhotos | None = None,
     ) -> None:
         self._camera = camera
         self._thread = thread
@@ -107,6 +113,7 @@ class Photographer:
         self._payload = payload
         self._ground = ground
         self._album = album
+        self._photos = photos or AnsweredPhotos()
         self._album_failed = False
         self._doubts = set[str]()  # the kinds that the log has
         self.pose: PhotoPose | None = None  # of the last photo
@@ -149,8 +156,10 @@ class Photographer:
         after = self._moment()
         shot = _at(photo.captured_s, before, after)
         geometry, earth = self._geometry(photo, shot), shot.earth
-        self.pose = PhotoPose(shot.position, earth, shot.told.attitude, shot.told.heading_deg, geometry)
+        told = shot.told
+        self.pose = PhotoPose(shot.position, earth, told.attitude, told.heading_deg, geometry, self._photos)
         jpeg = self._placed(photo, shot, geometry, distance_m(before.position, after.position))
+        self._photos.take(jpeg, geometry)
         self._journal.record(
             schema.PhotoTaken(
                 source=await self._kept(jpeg, photo.source, earth, geometry),

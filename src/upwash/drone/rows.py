@@ -301,9 +301,10 @@ class Rows:
         """Meet the answer's demand once it is there; stop and wait if too many answers are open."""
         self._open.append(answer)
         if answer.needs_server:
-            self._wait_if_soon(answer)
+            if not answer.only_tells:
+                self._wait_if_soon(answer)
             return
-        if self._stays:
+        if self._stays and not answer.only_tells:
             self._wait_below(1)
         if (waiting := self._unheard) >= self._rules.at_most:
             self._note(schema.PhotosWait(waiting=waiting))

@@ -172,8 +172,10 @@ def _demanding(config: DroneConfig, plan: Sequence[Waypoint]) -> list[frozenset[
     """Sets of photos whose answers demand an action, all as likely: one by `[event] every`, else some.
 
     Each has as many as is likely by `[event]`, or by the demands that earlier flights met, evenly spread. None has a
-    photo if neither is known.
+    photo if neither is known, or if the mission only tells answers.
     """
+    if config.mission.only_tells:
+        return [frozenset()]
     event, known = config.event, demand_map_of(config, plan)
     if event is not None and event.every is not None:
         return [frozenset(range(event.offset, len(plan), event.every))]

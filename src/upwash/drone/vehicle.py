@@ -154,6 +154,7 @@ class Vehicle:
         returns False, at rest on the way, or at the target if that is nearer. Raises AutopilotRefused, without a
         movement, if the plan's geofence forbids the place or the way.
         """
+        self._thread.require_turn()
         if self._rows is not None and unless is None:
             self._rows.goto(place)
             return True
@@ -193,6 +194,7 @@ class Vehicle:
 
     def hover(self, duration_s: float) -> None:
         """Hovers where the vehicle is for `duration_s`; on a row it first comes back to the last spot."""
+        self._thread.require_turn()
         if self._rows is not None:
             self._rows.rest()
         self._thread.call(asyncio.sleep(duration_s))
@@ -218,6 +220,7 @@ class Vehicle:
 
     def _settle(self, *, comes_back: bool = True) -> None:
         """Wait for all open answers, and do what they demand; come back to the last place, or do not."""
+        self._thread.require_turn()
         if self._rows is not None:
             self._rows.settle(comes_back=comes_back)
             return
@@ -301,6 +304,8 @@ class Vehicle:
         try:
             while not unless.holds():
                 if unless.pending.done():
+                    if late is not None and late.only_tells:
+                        late.finish(0.0)
                     self._thread.call(self._legs.arrive())
                     return True
                 if self._thread.call(self._legs.until_answered(None, unless)):  # a better answer may come

@@ -471,11 +471,15 @@ class Acted(Event, frozen=True, kw_only=True):
     waypoint: Index | None
 
 
-class Notified(Event, frozen=True, kw_only=True):
-    """A message to the user, and the place that it is about."""
+class Notified(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """A message to the user, and the place that it is about.
+
+    `photo` is the photo that it is about, by its number since the program began, counted from 0; absent for the last.
+    """
 
     message: Message
     at: Position
+    photo: Index | None = None
 
 
 # --- the vehicle --------------------------------------------------------------------------------------------

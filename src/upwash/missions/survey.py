@@ -13,7 +13,8 @@ _TRIES = 2  # of a photo, before the survey goes on without it
 def survey(drone: Drone, mode: Mode = "heavy") -> None:
     """Visit the plan's waypoints and inspect a photo of each, before moving on or soon after.
 
-    Where no photo can be inspected, the user gets a message, and the survey goes on.
+    On rows the drone flies on, and turns back only for actions that take time. Where no photo can be inspected, the
+    user gets a message, and the survey goes on.
     """
     detector = drone.service(Detector)
     drone.autopilot.arm()
@@ -23,9 +24,11 @@ def survey(drone: Drone, mode: Mode = "heavy") -> None:
         photo = photo_at(drone, waypoint)
         if photo is not None:
             pending = drone.start(detector.process_photo, photo, mode=mode)
-            drone.stay_or_go(
-                pending, partial(notify, drone, waypoint), failed=partial(notify_failure, drone, waypoint)
-            )
+            failed = partial(notify_failure, drone, waypoint)
+            if drone.on_rows and not drone.action_s:
+                drone.when_answered(pending, partial(notify, drone, waypoint), failed=failed)
+            else:
+                drone.stay_or_go(pending, partial(act, drone, waypoint), failed=failed)
     drone.end_flight()
     drone.autopilot.disarm()
 
@@ -49,6 +52,12 @@ def notify_failure(drone: Drone, waypoint: Waypoint, error: Exception) -> None:
 
 
 def notify(drone: Drone, waypoint: Waypoint, found: list[Detection]) -> None:
+    """Notify the user of the findings at the waypoint, if there are any."""
+    if found:
+        drone.user.notify(found, at=waypoint)
+
+
+def act(drone: Drone, waypoint: Waypoint, found: list[Detection]) -> None:
     """Notify the user of what was found at the waypoint, and hover there for the action."""
     drone.user.notify(found, at=waypoint)
     drone.autopilot.hover(drone.action_s)

@@ -47,8 +47,9 @@ def without(server: str) -> str:
 
 
 def demanding_share(config: DroneConfig) -> float | None:
-    """The share of answers that demand an action at their waypoint; None if the drone stays for answers."""
-    return None if config.policy.stay_or_go == "stay" else events_share(config)
+    """The share of answers that demand an action at their waypoint. None if the drone stays or only tells."""
+    stays = config.policy.stay_or_go == "stay"
+    return None if stays or config.mission.only_tells else events_share(config)
 
 
 def events_share(config: DroneConfig) -> float:
@@ -62,14 +63,20 @@ def events_share(config: DroneConfig) -> float:
 
 
 def told_share(config: DroneConfig) -> str:
-    """The same in a sentence; empty where the drone stays."""
-    share = demanding_share(config)
+    """What answers have the drone do, in a sentence; empty where the drone stays."""
+    if config.mission.only_tells:
+        return "answers only tell what was found, as mission.action_s is 0: the drone turns back for none"
+    on_rows = config.mission.photos is not None
+    share = events_share(config) if on_rows else demanding_share(config)
     if share is None:
         return ""
     said = f"{100 * share:.3g} % of the answers demand something" if share else "no answer demands anything"
     kept = "; policy.demand_map counts in the choice of a speed alone" if config.policy.demand_map else ""
     why = f"as [event] says{kept}" if config.event else f"as there is no [event]{kept}"
-    return f"the drone may go on before answers are there (policy.stay_or_go); here {said}, {why}"
+    does = "goes on before answers are there, and turns back for acts"
+    if not on_rows:
+        does = "may go on before answers are there (policy.stay_or_go)"
+    return f"the drone {does}; here {said}, {why}"
 
 
 def predict(

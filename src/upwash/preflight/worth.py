@@ -128,6 +128,8 @@ def told_worth(worth: Worth, config: DroneConfig) -> Iterator[str]:
     demands = (
         f"{100 * share:.3g} % of the answers demand something" if share else "no answer demands anything"
     )
+    if config.mission.only_tells:
+        demands = "answers only tell"
     servers, them = counted(len(config.servers), "server"), "it" if len(config.servers) == 1 else "them"
     verdict = "worth" if worth.worth else "not worth"
     margin = "" if worth.margin_s is None else f" ± {worth.margin_s:.0f}"

@@ -21,6 +21,7 @@ OF_MISSION = "the place that the mission named"
 OF_OBJECT = "the object's own place"
 _NO_LENS = "the camera's lens is unknown"
 _LONGEST_WORDS = 300  # characters
+_MOST_REMEMBERED = 10_000  # photos of a run
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,17 +52,13 @@ def _on_earth(latitude_deg: float | None, longitude_deg: float | None) -> tuple[
 
 
 class Pairing:
-    """Follows the events of a run: `told_of` is the photo that the user is told of by a message that comes now.
-
-    That is the last photo, or the one that the call was made with whose answer was taken since.
-    """
+    """Follows the events of a run: `told_of` is the photo that the last message to the user is about."""
 
     def __init__(self) -> None:
         self.last: TakenPhoto | None = None
         self.told_of: TakenPhoto | None = None
         self.here: int | None = None  # the last waypoint
-        self._of_call: dict[int | None, TakenPhoto] = {}  # by the waypoint of calls that are not taken yet
-        self._untaken = 0
+        self._taken: dict[int, TakenPhoto] = {}  # by their numbers since the program began
         self._since_start = 0
 
     def take(self, event: Event) -> None:
@@ -74,22 +71,16 @@ class Pairing:
                 shot = Shot(source, position, self._since_start)
                 earth = _on_earth(event.latitude_deg, event.longitude_deg)
                 self.last = TakenPhoto(number, shot, self.here, earth, event.geometry)
-                self.told_of = self.last
+                self._taken[self._since_start] = self.last
+                self._taken.pop(self._since_start - _MOST_REMEMBERED, None)
                 self._since_start += 1
-            case schema.CallStarted(waypoint=waypoint):
-                self._untaken += 1
-                if self.last is not None:
-                    self._of_call[waypoint] = self.last
-            case schema.AnswerTaken(waypoint=waypoint):
-                self.told_of = self._of_call.get(waypoint, self.told_of)
-                self._untaken = max(0, self._untaken - 1)
-                if not self._untaken:
-                    self._of_call.clear()
+            case schema.Notified(photo=number):
+                self.told_of = self.last if number is None else self._taken.get(number)
             case schema.MissionStarted():
                 self.here = None
             case schema.LogResumed():
-                self._since_start = self._untaken = 0
-                self._of_call.clear()
+                self._since_start = 0
+                self._taken.clear()
 
 
 @dataclass(frozen=True, slots=True)

@@ -169,7 +169,7 @@ class Method:
     def perform(self, target: object, request: bytes) -> tuple[str, bytes]:
         """Runs the call on a service object; returns its profile key, and its value or exception as a reply."""
         try:
-            arguments = self._arguments(request)
+            arguments = self.arguments(request)
         except msgspec.MsgspecError as error:
             return "", self.fault_reply(TypeError(f"{self.name}(): {error}"))
         key = self._key(arguments)
@@ -181,7 +181,7 @@ class Method:
 
     def key_of(self, request: bytes) -> str:
         """The profile key of a request; raises msgspec.MsgspecError for other bytes."""
-        return self._key(self._arguments(request))
+        return self._key(self.arguments(request))
 
     def under(self, key: str, request: bytes) -> bytes:
         """The request with the profile argument changed to `key`; raises ValueError for an invalid key."""
@@ -193,7 +193,7 @@ class Method:
     def request_of_part(self, request: bytes) -> bytes:
         """The request of the part before sending for this request; raises msgspec.MsgspecError or ValueError."""
         assert self.before is not None  # noqa: S101 - the caller has looked
-        arguments, part = self._arguments(request), self.before.method
+        arguments, part = self.arguments(request), self.before.method
         return part.encode((), {name: arguments[name] for name in part.signature.parameters})[1]
 
     def reduced(self, request: bytes, reply: bytes) -> Reduced:
@@ -260,7 +260,8 @@ class Method:
             message = message[:_LONGEST_MESSAGE].encode(errors="backslashreplace").decode()
             return self.reply.encode({"fault": ServiceFault(type_path, message)})
 
-    def _arguments(self, request: bytes) -> dict[str, Any]:
+    def arguments(self, request: bytes) -> dict[str, Any]:
+        """The arguments of an encoded call, by name; raises msgspec.MsgspecError for other bytes."""
         decoded = self.request.decode(request)
         return {name: getattr(decoded, name) for name in self.signature.parameters}
 

@@ -46,6 +46,6 @@ class MemoryJournal:
         for entry in fitted(msgspec.structs.replace(event, t=round(self._loop.time(), 6))):
             self.events.append(entry)
 
-    async def notify(self, message: object, at: Position) -> None:
+    async def notify(self, message: object, at: Position, photo: int | None = None) -> None:
         """Records a message to the user."""
-        self.record(schema.Notified(message=msgspec.to_builtins(message), at=at))
+        self.record(schema.Notified(message=msgspec.to_builtins(message), at=at, photo=photo))

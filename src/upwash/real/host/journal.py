@@ -116,9 +116,9 @@ class FileJournal:
             finally:
                 self._show(entry)
 
-    async def notify(self, message: object, at: Position) -> None:
+    async def notify(self, message: object, at: Position, photo: int | None = None) -> None:
         """Notifies the user by an event in the log, which the views of the log show."""
-        self.record(schema.Notified(message=msgspec.to_builtins(message), at=at))
+        self.record(schema.Notified(message=msgspec.to_builtins(message), at=at, photo=photo))
 
     def close(self) -> None:
         """Closes the log, after the missing lines if there is room for them now."""
