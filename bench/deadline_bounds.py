@@ -1,9 +1,9 @@
 """How often a promised probability is too high: `python -m bench.deadline_bounds`.
 
 Sets of delays are drawn from known distributions, and the probability that a set promises is compared with the true
-one. The true one is computed here, from the distribution and the planned time at which the second server is
-asked. A promise with a confidence of 95 % is too high in 5 % of the sets at most. *Accepted* are sets whose promise
-reaches the asked probability: flights with other sets are refused.
+one. The program computes the true one from the distribution and the planned time of the second server's request. A
+promise with a confidence of 95 % is too high in 5 % of the sets at most. *Accepted* are sets whose promise reaches
+the asked probability: flights with other sets are refused.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Kind(NamedTuple):
 
 
 def _log_normal(best: float) -> Kind:
-    """A tail of which that share is in time."""
+    """A tail with that share in time."""
     spread = 0.5
     middle = math.log(WITHIN_S) - spread * _normal_quantile(best)
 

@@ -1,7 +1,7 @@
 """When servers pay with today's computers: `python -m bench.deployments`.
 
-A field of 240 by 150 m is mapped in rows at 6 m/s, with two servers in it of 100 and 150 m, and 3 % noise on calls
-and 2 % on legs. From 30 m there is a photo each 9 m and a row each 15 m. Photos of 48 tiles have twice the width:
+A field of 240 by 150 m is mapped in rows at 6 m/s. Two servers have ranges of 100 and 150 m. Calls have 3 % noise,
+and legs 2 %. From 30 m there is a photo each 9 m and a row each 15 m. Photos of 48 tiles have twice the width:
 from 60 m they show the same detail, each 18 m, in rows each 30 m. Demands want 10 s at their place. *Load* is the
 drone's seconds for a photo times the photos that it takes a second on its rows. Each figure is the mean of missions
 with the same seeds. `--keep` keeps the figures.
