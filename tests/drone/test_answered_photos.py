@@ -104,7 +104,7 @@ def test_what_is_told_of_a_second_look_is_about_its_photo() -> None:
     def late(drone: Drone, waypoint: Waypoint, pending: Pending[list[Detection]]) -> None:
         pending.result()
         drone.camera.take_photo()
-        drone.user.notify("nearer", at=waypoint)
+        drone.user.notify({"seen": "nearer"}, at=waypoint)
 
     assert told(late) == {index: 2 * index + 1 for index in range(12)}
 

@@ -108,8 +108,8 @@ def test_a_call_has_its_like_under_another_policy_beside_it(
 
 
 def test_a_drone_that_turns_back_for_an_answer_is_shown_to(page: Browser, tmp_path: Path) -> None:
-    goes = scenario(policy={"name": "local-only", "stay_or_go": "go"}, event={"every": 6, "offset": 2})
-    run = simulate(goes)
+    policy = {"name": "local-only", "stay_or_go": "go", "act_within_s": 0.0}
+    run = simulate(scenario(policy=policy, event={"every": 6, "offset": 2}))
     turned_s = next(event.t for event in run.events if event.kind == "turned_back")
     log = tmp_path / "going.jsonl"
     log.write_bytes(run.log())
@@ -367,7 +367,11 @@ def test_the_outlook_tells_how_late_the_flight_is_and_why(
 
 
 def test_a_flight_on_rows_is_late_by_its_turns_back(page: Browser, tmp_path: Path) -> None:
-    rows = scenario(mission={"photos": {"every_m": 20.0}}, event={"every": 6, "offset": 2})
+    rows = scenario(
+        mission={"photos": {"every_m": 20.0}, "action_s": 2.0},
+        policy={"act_within_s": 0.0},
+        event={"every": 6, "offset": 2},
+    )
     run, log = simulate(rows), tmp_path / "rows.jsonl"
     log.write_bytes(run.log())
     with view_of(log) as address:
