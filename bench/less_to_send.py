@@ -222,7 +222,7 @@ class Made(NamedTuple):
 
 
 async def measured(size: str, setting: tuple[int, int], *, calls: int) -> Made:
-    """The medians over that number of calls of the running part, after one that warms it up."""
+    """The medians over `calls` calls of the running part, after a first call that warms the part up."""
     now_s, part = asyncio.get_running_loop().time, _part(setting)
     method, photo = spec_of(Detector).methods["process_photo"], photographed(size, FIRST_SEED).jpeg
     _, whole = method.encode((photo,), {})

@@ -31,7 +31,7 @@ _WHY = "the agent's choice"
 class UpwashEnv(gymnasium.Env[Any, Any]):
     """The twin of a scenario of one drone: each step is a question to its policy, and an episode is one mission.
 
-    `question` is the method of the policy for which the agent answers; the scenario's policy answers all others. The
+    `question` is a method of policies. The agent answers in its place; the scenario's policy answers all others. The
     reward is minus the seconds since the question before, so that the return is minus the mission's time.
     """
 
@@ -68,7 +68,7 @@ class UpwashEnv(gymnasium.Env[Any, Any]):
         self._mission = SteppedMission(msgspec.structs.replace(self._config, seed=flown), self._method)
         asked, self._rewarded_s = self._mission.next(), 0.0
         if isinstance(asked, Run):
-            raise UsageError(f"no {self._method} was asked in the mission: {asked.failure or 'it is over'}")
+            raise UsageError(f"the mission never called {self._method}: {asked.failure or 'it is over'}")
         return self._seen(asked), self._told(asked)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:

@@ -134,7 +134,7 @@ def print_tables(rows: Sequence[ComparedPolicy], console: Console) -> None:
 
 
 def _by_kind(row: ComparedPolicy) -> Iterator[ComparedPolicy]:
-    """The policy's drawn worlds of each kind apart, if there are several."""
+    """The policy's drawn worlds of each kind apart; none where all are of one kind."""
     if len(row.saved_by_kind) > 1:
         for kind, shares in row.saved_by_kind.items():
             yield dataclasses.replace(row, policy=f"{kind} ({len(shares)})", saved_shares=shares)

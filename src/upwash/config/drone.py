@@ -322,8 +322,8 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     demand_map: values.DemandPath | None = None
     """A file, kept between flights, with the places of demands, for `stay_or_go`."""
     act_within_s: values.NotNegative | None = None
-    """The longest time in seconds from [an answer that came later](pending-calls.md#when-the-drone-acts) to its act,
-    as far as the drone can tell; 0: at once; without the key the drone acts where that makes the way least longer."""
+    """The longest time in seconds from an answer to [its later act](pending-calls.md#when-the-drone-acts), as far as
+    the drone can tell. 0: at once. Without the key the drone acts where the way gets least longer."""
     detour_s: values.NotNegative = 120.0
     """The longest stop, with the way there, for answers of [a service that only servers run](only-servers.md); for
     others the longest way to a range where a resting drone has the answers sooner ([rows](rows.md)); 0: none."""

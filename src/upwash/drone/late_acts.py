@@ -22,9 +22,9 @@ Answer: TypeAlias = AnswerAction[Any]
 
 
 class Onwards(NamedTuple):
-    """What follows for a drone: its target on the way, where it has to be after an act, and the end of its leg.
+    """What a drone does next: it flies to its target, over a place `ahead` where it has to be after an act.
 
-    It is on that leg, or it `rests`.
+    It is on a leg to `end`, or it `rests`.
     """
 
     target: Place
@@ -36,9 +36,8 @@ class Onwards(NamedTuple):
 class LateActs:
     """Decides when acts are done, and keeps those that are put off; on the loop.
 
-    `when_to_act` has the number of the gap to which the policy puts an act off, or None. An act begins `within_s` of
-    its answer. `home_s` has the seconds from a place to the ground, and `spare_s` those
-    of flight that the reserve leaves, None if unknown.
+    `when_to_act` asks the policy. An act begins `within_s` of its answer. `home_s` has the seconds from a place to
+    the ground, and `spare_s` the seconds of flight that the reserve leaves; None while these are unknown.
     """
 
     def __init__(

@@ -2,9 +2,9 @@
 
     in line         the oldest call is first, or the newest, as configured; a call that the mission waits for is
                     before all others; a call that only servers compute is before calls that the drone could compute
-    its place       as the policy says: by default a free place takes the first call that it would answer before the
-                    other place gets to it (core/planning/earliest.py); the drone takes a call that runs once, and all
-                    calls, in line, once deciding has failed
+    its place       the policy chooses it. By default a free place takes the first call that it would answer before
+                    the other place gets to it (core/planning/earliest.py). The drone takes a call that runs once.
+                    Once deciding has failed, the drone takes all calls in line.
     decided         once its place is free, as any call is; then the next call is decided
 
 A call holds the lane of its place from the decision until its answer, wherever it is computed in the end. Each other

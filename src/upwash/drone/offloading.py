@@ -152,7 +152,7 @@ class Offloading:
         return self._guarded(lambda: self._decisions.selection.policy.where_to_wait(stay))
 
     def when_to_act(self, act: LateAct) -> int | None:
-        """The number of the gap to which an act is put off; None for at once."""
+        """The number of a gap of the act, where the drone acts then; None for at once."""
         return self._guarded(lambda: self._decisions.selection.policy.when_to_act(act))
 
     def tell(self, event: SelectionEvent) -> None:

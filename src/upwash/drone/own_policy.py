@@ -166,7 +166,7 @@ class OwnPolicy:
         return cast("str | None", server)
 
     def when_to_act(self, act: LateAct) -> int | None:
-        """The number of the gap to which an act is put off; None for at once."""
+        """The number of a gap of the act, where the drone acts then; None for at once."""
         match self._answer("when_to_act", act):
             case None:
                 return None

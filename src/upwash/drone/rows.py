@@ -567,7 +567,7 @@ class Rows:
         return now
 
     def _due(self, onwards: Onwards) -> list[AnswerAction[Any]]:
-        """The acts that were put off, and are to be done before the drone goes on."""
+        """The acts that were put off, and that the drone does before it goes on."""
         self._open += (due := self._thread.call(self._late.due(onwards)))
         return due
 

@@ -6,8 +6,8 @@ For calls that only servers compute:
     beside the way home in the range with the shortest detour, unless home is in a range
     at home             once the drone has landed: until they are answered, or no server there answers
 
-For calls that the drone could compute, while it rests: a range, if the policy has the drone wait there. By default
-that is where the line of them ends sooner than here, with the way there and on (core/planning/backlog.py).
+For calls that the drone could compute, while it rests: the policy chooses a range, or here. By default it is the
+range where their line ends sooner than here, with the way there and on (core/planning/backlog.py).
 
 No stop lasts longer than `policy.detour_s`, or than the reserve of the battery allows.
 """

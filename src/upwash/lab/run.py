@@ -100,7 +100,7 @@ class Run:
 def simulate(config: DroneConfig, *, policy: Policy | None = None) -> Run:
     """Flies the scenario's mission on virtual time; the same scenario and seed give the same run.
 
-    A policy stands in for the scenario's, for this one mission.
+    A `policy` takes the place of the scenario's policy.
 
     Raises MissionFailed for a mission program with a bug, and UsageError for what cannot be simulated; another early
     end is the run's `failure`.
@@ -131,7 +131,7 @@ _ALONE: deque[tuple[DroneConfig, Presence, Alone | None]] = deque(maxlen=16)
 def flown_alone(config: DroneConfig, presence: Presence | None = None) -> Alone | None:
     """The scenario's mission by itself; None where it is not completed.
 
-    The last missions are remembered: each policy of a comparison asks for the same ones.
+    The last missions are remembered, as each policy of a comparison needs the same missions.
     """
     presence = presence or Presence()
     for other, there, alone in _ALONE:

@@ -73,7 +73,7 @@ class SteppedMission:
 
 
 class _Asking:
-    """The scenario's policy, but for one method: `ask` answers, unless a forecast asks."""
+    """The scenario's policy with one other method: `ask` answers it, except in forecasts."""
 
     def __init__(self, policy: Policy, method: str, ask: Callable[[Any, Any], Any]) -> None:
         def answer(about: Any) -> Any:

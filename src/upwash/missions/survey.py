@@ -52,7 +52,7 @@ def notify_failure(drone: Drone, waypoint: Waypoint, error: Exception) -> None:
 
 
 def notify(drone: Drone, waypoint: Waypoint, found: list[Detection]) -> None:
-    """Notify the user of the findings at the waypoint, if there are any."""
+    """Notify the user of the findings at the waypoint; without findings there is no message."""
     if found:
         drone.user.notify(found, at=waypoint)
 

@@ -2,7 +2,7 @@
 
     an act     at a place, as an answer demands it
     a gap      after a waypoint of the plan, before the next one or the way home
-    its cost   the seconds by which an act makes the way longer, beside the acts that are put off already
+    its cost   the seconds that the way gets longer, beside the acts that are put off already
 
 Legs are flown from rest to rest. For an act between two spots of a row the drone rests at the first of them.
 """
@@ -161,7 +161,7 @@ class Acts(Generic[T]):
         return braking_s + self._leg_s(way.rest, place) + back_s - ends_s
 
     def _first(self, way: Way) -> int:
-        """The first waypoint ahead after which the drone may act: on a leg the last one that it passes."""
+        """The first waypoint ahead after which the drone may act: the last waypoint that its leg passes."""
         first = way.target
         while way.end is not None and self._is_inside(first) and self._plan[first].position != way.end:
             first += 1
@@ -179,7 +179,7 @@ class Acts(Generic[T]):
         )
 
     def _longer_s(self, number: int, places: Sequence[Position]) -> float:
-        """The seconds by which acts at these places, in their order, make the way longer."""
+        """The seconds that the way gets longer with acts at these places, in their order."""
         if not places:
             return 0.0
         start, ahead = self._ends(number)

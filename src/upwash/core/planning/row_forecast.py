@@ -306,7 +306,7 @@ class _Flight:
         return True
 
     def _turn_back(self, spot: Position) -> None:
-        """Fly back for the acts that are to be done before the spot is reached, and put others off."""
+        """Fly back for the acts that the drone does before the spot, and put the others off."""
         motion = self._motion
         assert motion is not None  # noqa: S101 - a leg is flown
         left, end = motion.place(self._now_s), motion.end

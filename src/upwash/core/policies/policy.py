@@ -204,7 +204,7 @@ class Policy(Protocol):
         """The server of the range where a resting drone waits for answers; None for where it is."""
 
     def when_to_act(self, act: LateAct) -> int | None:
-        """The number of the gap, of those given, to which an act is put off; None for at once."""
+        """The number of a gap of the act, where the drone acts then; None for at once."""
 
 
 class BuiltInRules:

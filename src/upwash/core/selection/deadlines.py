@@ -1,14 +1,15 @@
 """Answers by a deadline with a probability: what servers can promise, and when a second server gets a call too.
 
-A promise holds with a confidence of 95 %, whatever the distribution of the delays. Two servers are late independently
+A promise holds with a confidence of 95 %, for all distributions of the delays. Two servers are late independently
 of each other: if a share q of the calls is late at each, q² is late at both. The second server gets only calls that
 the first has not answered after `after_s`. This time is as long as the probability allows, so that the second server
 computes fewest calls.
 
-The promise of two servers takes three bounds, each with a third of the 5 %: what the first answers in time, what the
-first answers before `after_s`, and what the second answers in the time left. As `after_s` is chosen from the same
-delays, it follows from a delay of a fixed rank. `extra` fixes the rank at the first server, the first server's delays
-fix the rank at the second. The share of calls that is faster than the r-th of n delays has a known distribution.
+The promise of two servers takes three bounds, each with a third of the 5 %. They bound what the first answers in
+time, what the first answers before `after_s`, and what the second answers in the time left. As `after_s` is chosen
+from the same delays, it follows from a delay of a fixed rank. `extra` fixes the rank at the first server, the first
+server's delays fix the rank at the second. The share of calls that is faster than the r-th of n delays has a known
+distribution.
 """
 
 from __future__ import annotations

@@ -121,8 +121,8 @@ class ComparedPolicy:
     `turned_back` is the mean number of times that a drone turned back for an answer, and `hidden_s` the mean time of
     calls during which it did other things; None if no drone went on before an answer.
 
-    `saved_s` is the mean by which a mission is shorter than the first policy's with the same seed, with its own half
-    width; None for the first policy, and without two such missions. `saved_shares` are these differences in drawn
+    `saved_s` is the mean time that a mission is shorter than with the first policy and the same seed, with its own
+    half width; None for the first policy, and without two such missions. `saved_shares` are these differences in drawn
     worlds, ascending, as shares of the first policy's time: a negative one is a loss. `saved_by_kind` has them apart
     for worlds with "stops", "rows, load below 1" and "rows, load from 1"; the load is the drone's seconds for a photo
     by the seconds from one photo to the next.

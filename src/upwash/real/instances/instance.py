@@ -200,7 +200,7 @@ class ServiceInstance:
 
 
 def _is_over(call: Future[_Performed], within_s: float | None) -> bool:
-    """Whether the call ends in that time, also without having begun: for `futures.wait` such a call goes on."""
+    """Whether the call ends in that time; `futures.wait` does not see the end of a call that is cancelled in line."""
     try:
         call.exception(within_s)
     except TimeoutError:
