@@ -177,5 +177,5 @@ def test_what_cannot_be_flown_is_refused() -> None:
         UpwashEnv(DEMONSTRATION, "land")  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="drones, and this is for one"):
         UpwashEnv(SCENARIOS / "fleet-demonstration.toml").reset(seed=1)
-    with pytest.raises(UsageError, match="no place_in_line was asked"):
+    with pytest.raises(UsageError, match="the mission never called place_in_line"):
         UpwashEnv(DEMONSTRATION, "place_in_line").reset(seed=1)

@@ -63,6 +63,10 @@ class LateActs:
         self._spare_s = spare_s
         self._begin_by_s: dict[Answer, float] = {}
 
+    def __bool__(self) -> bool:
+        """Whether an act is put off."""
+        return bool(self._acts)
+
     def waits_after(self, place: Place | None) -> bool:
         """Whether an act is put off to the gap after that waypoint."""
         return isinstance(place, Waypoint) and self._acts.waits_after(self._numbers.get(place, -1))

@@ -568,7 +568,8 @@ class Rows:
 
     def _due(self, onwards: Onwards) -> list[AnswerAction[Any]]:
         """The acts that were put off, and that the drone does before it goes on."""
-        self._open += (due := self._thread.call(self._late.due(onwards)))
+        due = self._thread.call(self._late.due(onwards)) if self._late else []
+        self._open += due
         return due
 
     def _detour(self, demanding: list[AnswerAction[Any]], place: Place, goes_on: Callable[[], None]) -> None:

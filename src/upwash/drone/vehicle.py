@@ -237,8 +237,9 @@ class Vehicle:
 
     def _act_before(self, place: Waypoint | Position) -> None:
         """Do the acts that were put off to here, and those that would be late further on."""
-        due = self._late.due_after(self._legs.place)
-        self._act(due + self._thread.call(self._late.due(Onwards(place, position_of(place)))))
+        if self._late or self._due:
+            due = self._late.due_after(self._legs.place)
+            self._act(due + self._thread.call(self._late.due(Onwards(place, position_of(place)))))
 
     def _act(self, acts: Sequence[AnswerAction[Any]]) -> None:
         """Do these acts one after the other; those that an exception of one leaves are done with the next."""

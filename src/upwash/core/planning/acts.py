@@ -115,6 +115,10 @@ class Acts(Generic[T]):
         """Put the act off to that gap."""
         self._gaps.setdefault(gap.number, []).insert(gap.order, (place, act))
 
+    def __bool__(self) -> bool:
+        """Whether an act is put off."""
+        return bool(self._gaps)
+
     def waits_after(self, number: int) -> bool:
         """Whether an act is put off to the gap after that waypoint."""
         return number in self._gaps

@@ -122,10 +122,10 @@ class ComparedPolicy:
     calls during which it did other things; None if no drone went on before an answer.
 
     `saved_s` is the mean time that a mission is shorter than with the first policy and the same seed, with its own
-    half width; None for the first policy, and without two such missions. `saved_shares` are these differences in drawn
-    worlds, ascending, as shares of the first policy's time: a negative one is a loss. `saved_by_kind` has them apart
-    for worlds with "stops", "rows, load below 1" and "rows, load from 1"; the load is the drone's seconds for a photo
-    by the seconds from one photo to the next.
+    half width; None for the first policy, and without two of these missions. `saved_shares` are these differences in
+    drawn worlds, ascending, as shares of the first policy's time: a negative share is a loss. `saved_by_kind` has
+    them apart for worlds with "stops", "rows, load below 1" and "rows, load from 1"; the load is the drone's seconds
+    for a photo by the seconds from one photo to the next.
     """
 
     scenario: str
