@@ -161,10 +161,16 @@ def test_killed_at_any_moment_it_takes_up_the_plan_after_the_last_result(killed_
     assert both.position is not None and both.position.altitude_m == 0.0
 
 
-@pytest.mark.parametrize("killed_at_s", [float(number) for number in range(10, 96, 3)])
-@pytest.mark.parametrize("stay_or_go", ["stay", "go"])
+@pytest.mark.parametrize(
+    ("stay_or_go", "killed_at_s"),
+    [
+        (manner, float(at_s))
+        for manner, over_s in (("stay", 106), ("go", 96))
+        for at_s in range(10, over_s, 3)
+    ],
+)
 def test_killed_at_any_moment_no_answer_and_nothing_that_it_demands_is_lost(
-    killed_at_s: float, stay_or_go: str
+    stay_or_go: str, killed_at_s: float
 ) -> None:
     config = scenario(action_s=5.0)
     policy = msgspec.structs.replace(config.policy, stay_or_go=stay_or_go)

@@ -63,10 +63,10 @@ def test_a_call_that_would_lose_its_server_stays() -> None:
 
 def test_events_of_a_probability_hang_on_the_seed_and_the_waypoint_alone() -> None:
     one, other = (
-        {
+        Counter(
             event.waypoint
             for event in of(simulate(survey(manner=manner, event={"probability": 0.3})), schema.Acted)
-        }
+        )
         for manner in ("stay", "go")
     )
     assert one == other and one

@@ -318,13 +318,13 @@ def _acts_later(history: History) -> bool:
 
 def _miscounted(known: DemandMap, events: Sequence[Event]) -> Iterator[Breach]:
     """A mission that ends between the count and its event has one more answer in its map."""
-    taken = {event.waypoint: event.demanded for event in events if isinstance(event, schema.AnswerTaken)}
-    put_off = {event.waypoint: True for event in events if isinstance(event, schema.PutOff)}
-    taken = put_off | taken  # which are counted already
+    taken = [event for event in events if isinstance(event, schema.AnswerTaken)]
+    put_off = {event.waypoint for event in events if isinstance(event, schema.PutOff)}
+    waiting = len(put_off - {event.waypoint for event in taken})  # for acts: they are counted already
     places = list(known.places())
     for what, count, logged in (
-        ("answers", sum(place.answers for place in places), len(taken)),
-        ("demands", sum(place.demands for place in places), sum(taken.values())),
+        ("answers", sum(place.answers for place in places), len(taken) + waiting),
+        ("demands", sum(place.demands for place in places), sum(event.demanded for event in taken) + waiting),
     ):
         if not logged <= count <= logged + 1:
             yield None, f"the map of demands counts {count:g} {what}, and the log {logged}"
