@@ -39,8 +39,13 @@ class SteppedMission:
         self._thread.start()
 
     def next(self) -> Asked | Run:
-        """The next question, or the flown mission, after the answer to the question before; raises its error."""
+        """The next question, or the flown mission, after the answer to the question before; raises its error.
+
+        The thread is over where no question is left.
+        """
         handed = self._handed.get()
+        if not isinstance(handed, Asked):
+            self._thread.join()
         if isinstance(handed, BaseException):
             raise handed
         return handed
