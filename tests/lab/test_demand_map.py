@@ -12,7 +12,7 @@ from upwash.config import EventConfig
 from upwash.config.world import EventAreaConfig
 from upwash.core.geo import Position
 from upwash.eventlog import schema
-from upwash.preflight.prediction import told_share
+from upwash.preflight.acts import told_acts
 
 SCENARIO = Path(__file__).parents[2] / "scenarios" / "thesis.toml"
 MOVING = SCENARIO.with_name("on-the-move.toml")
@@ -78,7 +78,7 @@ def test_a_check_counts_the_areas_in_its_share_of_demands(tmp_path: Path) -> Non
         EventAreaConfig(**CORNER).circle.contains(Position(*_place(waypoint))) for waypoint in range(121)
     )
     share = (0.8 * inside + 0.03 * (121 - inside)) / 121
-    assert f"{100 * share:.3g} % of the answers" in told_share(
+    assert f"{100 * share:.3g} % of the answers" in told_acts(
         read_scenario(SCENARIO, overrides=field(tmp_path))
     )
 

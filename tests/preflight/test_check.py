@@ -8,13 +8,16 @@ from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
 
 import pytest
+from msgspec import UNSET
 
+import upwash
 from upwash.cli.main import main
 from upwash.core.geo import Position
 from upwash.errors import UpwashError, UsageError
 from upwash.lab.campaigns.campaign import Chunk, fly_chunk
 from upwash.lab.campaigns.file import CampaignRow
 from upwash.lab.run import simulate
+from upwash.preflight.acts import WithActs
 from upwash.preflight.answers import ServerAnswers, answers_of
 from upwash.preflight.check import MissionCheck, check, missions_to_fly, read_plan
 from upwash.preflight.placement import STEPS, Places, Trials, best_places, candidates, place
@@ -277,7 +280,7 @@ DEMANDING = "[event]\nevery = 1\n"
 @pytest.mark.parametrize(
     ("document", "said"),
     [
-        (SCENARIO + DEMANDING, "(as configured) with it, if 100 % of the answers demand something"),
+        (SCENARIO + DEMANDING, "(as configured) with it, if 100 % of the answers demand an act"),
         (SCENARIO, "not worth carrying to the field: 1 server, saving 0 s; flown well, the drone takes "),
         (SCENARIO + SECOND + DEMANDING, "not worth carrying beside the others: s2 (saves 0 s)"),
         (ON_A_GRID, "(on the move: mission.photos.every_m = 30) with it, if no answer"),
@@ -315,9 +318,9 @@ stay_or_go = "learn"
 @pytest.mark.parametrize(
     ("event", "share", "said"),
     [
-        ("", 0.0, "no answer demands anything, as there is no [event]"),
-        ("[event]\nevery = 4", 0.25, "25 % of the answers demand something, as [event] says"),
-        ("[event]\nprobability = 0.05", 0.05, "5 % of the answers demand something, as [event] says"),
+        ("", 0.0, "the forecasts above have no act, as there is no [event]"),
+        ("[event]\nevery = 4", 0.25, "25 % of the answers demand an act, as [event] says"),
+        ("[event]\nprobability = 0.05", 0.05, "5 % of the answers demand an act, as [event] says"),
     ],
 )
 def test_a_forecast_says_what_share_of_answers_demands_something(
@@ -328,6 +331,36 @@ def test_a_forecast_says_what_share_of_answers_demands_something(
     assert said in capsys.readouterr().out
     main(["check", str(file), "--workers", "1", "--json"])
     assert json.loads(capsys.readouterr().out)["demanding_share"] == share
+
+
+def test_without_a_chance_of_acts_a_check_tells_the_mission_with_and_without_them(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    acts = SCENARIO.replace("[mission]", "[mission]\naction_s = 5.0")
+    file.write_text(f"{acts}[event]\nprobability = 0.75\n")
+    known, times_s = checked(file, seeds=5)
+    assert known.with_acts is UNSET
+    file.write_text(acts)
+    found, without_s = checked(file)
+    assert isinstance(found.with_acts, WithActs)
+    assert (found.with_acts.share, found.with_acts.source) == (0.75, "assumed")
+    with_s = {each.case: each.mission_time_s for each in found.with_acts.predictions}
+    assert with_s == {case: times_s[case] for case in (LOCAL_ONLY, AS_CONFIGURED)}
+    main(["check", str(file), "--workers", "1"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"no [event]: {without_s[AS_CONFIGURED] / 60:.2f} min (" in said
+    assert "without servers) if three of four answers demand an act" in said
+
+
+def test_a_check_takes_the_share_of_acts_from_the_map_of_earlier_flights(file: Path) -> None:
+    kept = file.with_name("demands.json")
+    learns = {"policy.stay_or_go": "learn", "policy.demand_map": str(kept), "event": {"every": 2}}
+    upwash.simulate(file, overrides=learns, keep_demands=True)
+    file.write_text(f'{SCENARIO}{GOES}demand_map = "{kept.name}"\n')
+    acts = checked(file)[0].with_acts
+    assert isinstance(acts, WithActs)
+    assert acts.source == "policy.demand_map"
+    assert 0.3 < acts.share < 0.7
 
 
 def test_a_forecast_is_of_a_drone_that_goes_as_configured(file: Path) -> None:

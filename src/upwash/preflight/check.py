@@ -29,10 +29,11 @@ from upwash.eventlog import schema
 from upwash.lab.campaigns.campaign import Fly
 from upwash.lab.run import Run, simulate
 from upwash.missions.bundled import load_specs
+from upwash.preflight.acts import ACT_SEEDS, WithActs, acts_cost, demanding_share, fly_with_acts
 from upwash.preflight.answers import ServerAnswers, answer_concerns, foretell
 from upwash.preflight.load import Load, load_of
 from upwash.preflight.placement import Placement
-from upwash.preflight.prediction import LOCAL_ONLY, Prediction, cases, changed, demanding_share, predict
+from upwash.preflight.prediction import LOCAL_ONLY, Prediction, cases, changed, predict
 from upwash.preflight.speed import SpeedCheck, check_speed
 from upwash.preflight.warnings import Belief, PreflightWarning, is_for_flight, usable_wh, warnings
 from upwash.preflight.waypoints import Farthest, ServerCoverage, coverage, farthest, uncovered
@@ -54,12 +55,12 @@ class MissionCheck(Struct, frozen=True, kw_only=True):
     `usable_s` is how long the battery lasts above the mission's reserve, and `usable_wh` the simulated battery's
     energy above it; None if the file does not say. `farthest` is the waypoint with the longest way home. `order` is
     the order of the waypoints with its reason, "" for the given order. `notices` say how the flight differs from a
-    plan. `demanding_share` is the share of answers that demand an action, if the drone may go on before it has
-    them. `speed` is the check of the ground speed, if photos are taken in flight. `worth` is what the servers save a
-    drone that is flown well; UNSET without a server, with lighter calls, with deadlines, and with services
-    that only servers run. `load` says whether the drone's own computer keeps up, in the manner that `worth` names for
-    a drone with servers, or else as configured; UNSET without photos that the drone could compute, and for a drone
-    alone that chooses its speed.
+    plan. `demanding_share` is the share of answers that demand an act, if the drone may go on before it has
+    them. `with_acts` is the mission with acts, where nothing tells their share. `speed` is the check of the ground
+    speed, if photos are taken in flight. `worth` is what the servers save a drone that is flown well; UNSET without a
+    server, with lighter calls, with deadlines, and with services that only servers run. `load` says whether the
+    drone's own computer keeps up, in the manner that `worth` names for a drone with servers, or else as configured;
+    UNSET without photos that the drone could compute, and for a drone alone that chooses its speed.
     `placement` has places of servers, if asked for. `answers` tells when servers answer the calls of such services,
     and `deadlines` how surely calls with a deadline keep it.
     """
@@ -77,6 +78,7 @@ class MissionCheck(Struct, frozen=True, kw_only=True):
     notices: tuple[str, ...] = ()
     placement: Placement | UnsetType = UNSET
     demanding_share: float | UnsetType = UNSET
+    with_acts: WithActs | UnsetType = UNSET
     speed: SpeedCheck | UnsetType = UNSET
     worth: Worth | UnsetType = UNSET
     load: Load | UnsetType = UNSET
@@ -93,7 +95,8 @@ def read_plan(file: Path) -> CheckInput:
 def missions_to_fly(plan: CheckInput, seeds: int) -> int:
     """How many missions `check` flies at most."""
     further = missions_to_judge(plan.document, plan.config, plan.file)
-    return (len(dict(cases(plan.document, plan.config))) + further) * seeds
+    acting = 2 * max(seeds, ACT_SEEDS) if acts_cost(plan.config) else 0
+    return (len(dict(cases(plan.document, plan.config))) + further) * seeds + acting
 
 
 def check(
@@ -119,6 +122,9 @@ def check(
     predictions = predict(
         dict(cases(plan.document, plan.config)), plan.file, seeds=seeds, fly=fly, flown=flown
     )
+    acts = fly_with_acts(
+        plan.document, plan.config, plan.file, seeds=max(seeds, ACT_SEEDS), fly=fly, flown=flown
+    )
     answers = foretell(plan.document, plan.config, plan.file)
     worth = judge(plan.document, plan.config, plan.file, predictions, seeds=seeds, fly=fly, flown=flown)
     return MissionCheck(
@@ -139,6 +145,7 @@ def check(
         ),
         notices=tuple(plan_notices(plan.config)),
         demanding_share=UNSET if (share := demanding_share(plan.config)) is None else share,
+        with_acts=acts or UNSET,
         speed=check_speed(config, speed_why) or UNSET,
         worth=worth or UNSET,
         load=UNSET

@@ -15,11 +15,12 @@ from upwash.config import DroneConfig, drone_config, told_pace
 from upwash.eventlog.narration import spans
 from upwash.lab.campaigns.campaign import Fly
 from upwash.lab.figures import FigureFiles
+from upwash.preflight.acts import told_acts
 from upwash.preflight.answers import told_answers
 from upwash.preflight.check import CheckInput, MissionCheck, check, missions_to_fly
 from upwash.preflight.load import told_load
 from upwash.preflight.placement import Placement, place
-from upwash.preflight.prediction import LOCAL_ONLY, Prediction, told_share
+from upwash.preflight.prediction import LOCAL_ONLY, Prediction, minutes
 from upwash.preflight.speed import told_speed
 from upwash.preflight.warnings import PreflightWarning, is_for_flight
 from upwash.preflight.waypoints import Farthest, ServerCoverage
@@ -93,8 +94,8 @@ def _print(found: MissionCheck, config: DroneConfig, to_place: int, console: Con
     say(_how_sure(found, config), console)
     if is_for_flight(config) and told_pace(config.vehicle) is None:
         say(_NO_PACE, console)
-    if share := told_share(config):
-        say(share, console)
+    if acts := told_acts(config, found.predictions, found.with_acts or None):
+        say(acts, console)
     for lines in _told(found, config):
         console.print()
         for line in lines:
@@ -148,12 +149,6 @@ def print_findings(notices: Sequence[str], warnings: Sequence[PreflightWarning],
         say(Text("warning: ", style="yellow") + Text(warning.text), console)
     if not warnings:
         console.print(Text("nothing to warn of", style="green"))
-
-
-def minutes(time_s: float, margin_s: float | None) -> str:
-    """A time in minutes, with its margin."""
-    margin = f" ± {margin_s / 60:.2f}" if margin_s is not None else ""
-    return f"{time_s / 60:.2f}{margin} min"
 
 
 def _coverage_table(servers: tuple[ServerCoverage, ...], waypoints: int) -> Table:

@@ -31,16 +31,16 @@ from upwash.lab.outcome import failure_of
 from upwash.lab.run import Run, simulate_drones
 from upwash.lab.scenario import with_policy
 from upwash.missions.bundled import load_specs
+from upwash.preflight.acts import demanding_share, told_acts
 from upwash.preflight.check import CheckInput, beliefs
-from upwash.preflight.display import minutes, print_findings
+from upwash.preflight.display import print_findings
 from upwash.preflight.prediction import (
     AS_CONFIGURED,
     LOCAL_ONLY,
     Prediction,
     changed,
-    demanding_share,
+    minutes,
     prediction_of,
-    told_share,
 )
 from upwash.preflight.speed import SpeedCheck, check_speed, told_speed
 from upwash.preflight.warnings import PreflightWarning, warnings
@@ -214,8 +214,8 @@ def _print(found: FleetCheck, config: DroneConfig, console: Console) -> None:
     )
     console.print()
     show_table(_forecast_table(found.drones), console)
-    if share := told_share(config):
-        say(share, console)
+    if acts := told_acts(config):
+        say(acts, console)
     console.print()
     for drone in found.drones:
         if drone.order:

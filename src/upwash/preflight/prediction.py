@@ -5,11 +5,10 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from statistics import fmean
 
 from msgspec import Struct
 
-from upwash.config import Document, DroneConfig, waypoints
+from upwash.config import Document, DroneConfig
 from upwash.lab.campaigns.campaign import Fly, fly_sweep
 from upwash.lab.campaigns.sweep import Combination, ParameterSweep
 from upwash.support.confidence import Mean
@@ -41,42 +40,15 @@ class Prediction(Struct, frozen=True, kw_only=True):
         return self.margin_s or 0.0
 
 
+def minutes(time_s: float, margin_s: float | None) -> str:
+    """A time in minutes, with its margin."""
+    margin = f" ± {margin_s / 60:.2f}" if margin_s is not None else ""
+    return f"{time_s / 60:.2f}{margin} min"
+
+
 def without(server: str) -> str:
     """The case without that server."""
     return f"without {server}"
-
-
-def demanding_share(config: DroneConfig) -> float | None:
-    """The share of answers that demand an action at their waypoint. None if the drone stays or only tells."""
-    stays = config.policy.stay_or_go == "stay"
-    return None if stays or config.mission.only_tells else events_share(config)
-
-
-def events_share(config: DroneConfig) -> float:
-    """The share of answers that demand an action at their waypoint, by `[event]`."""
-    if config.event is None:
-        return 0.0
-    if config.event.every is not None:
-        return 1 / config.event.every
-    chances = [config.event.chance(waypoint.position) for waypoint in waypoints(config.mission)]
-    return fmean(chances) if config.event.areas else config.event.probability or 0.0
-
-
-def told_share(config: DroneConfig) -> str:
-    """What answers have the drone do, in a sentence; empty where the drone stays."""
-    if config.mission.only_tells:
-        return "answers only tell what was found, as mission.action_s is 0: the drone turns back for none"
-    on_rows = config.mission.photos is not None
-    share = events_share(config) if on_rows else demanding_share(config)
-    if share is None:
-        return ""
-    said = f"{100 * share:.3g} % of the answers demand something" if share else "no answer demands anything"
-    kept = "; policy.demand_map counts in the choice of a speed alone" if config.policy.demand_map else ""
-    why = f"as [event] says{kept}" if config.event else f"as there is no [event]{kept}"
-    does = "goes on before answers are there, and turns back for acts"
-    if not on_rows:
-        does = "may go on before answers are there (policy.stay_or_go)"
-    return f"the drone {does}; here {said}, {why}"
 
 
 def predict(

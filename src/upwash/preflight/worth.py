@@ -16,12 +16,12 @@ from msgspec.structs import replace
 from upwash.config import Document, DroneConfig, drone_config, only_on_servers
 from upwash.errors import ConfigError
 from upwash.lab.campaigns.campaign import Fly
+from upwash.preflight.acts import events_share
 from upwash.preflight.prediction import (
     AS_CONFIGURED,
     LOCAL_ONLY,
     Prediction,
     changed,
-    events_share,
     predict,
 )
 from upwash.support.text import counted
@@ -125,9 +125,7 @@ def judge(
 def told_worth(worth: Worth, config: DroneConfig) -> Iterator[str]:
     """The same in a sentence, and one more for servers that the others make superfluous."""
     share = events_share(config)
-    demands = (
-        f"{100 * share:.3g} % of the answers demand something" if share else "no answer demands anything"
-    )
+    demands = f"{100 * share:.3g} % of the answers demand an act" if share else "no answer demands an act"
     if config.mission.only_tells:
         demands = "answers only tell"
     servers, them = counted(len(config.servers), "server"), "it" if len(config.servers) == 1 else "them"
