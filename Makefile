@@ -17,18 +17,18 @@ LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --genera
 # Without it each of the programs that a test starts would compile all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-long test-ros test-system test-all collect search native lint format docs pictures bench bench-peers lock clean
+.PHONY: run test test-long test-ros test-system test-all collect nightly native lint format docs pictures bench bench-peers lock clean
 
 # make run ARGS=--live shows the flight on a page meanwhile.
 run: $(RUNS)
 	$(BIN)/upwash demo $(ARGS)
 
 test: $(READY)
-	$(PYTEST) -n 5 -m "not (root or long or search)"
+	$(PYTEST) -n 5 -m "not (root or long or nightly)"
 
-# Attacks on running programs, flights in real time, each bench once.
+# Attacks on running programs, flights in real time.
 test-long: $(READY)
-	$(PYTEST) -n 4 -m "long and not root"
+	$(PYTEST) -n 4 -m "long and not (root or nightly)"
 
 # The tests over ROS 2, whose wheels have an environment of their own; without them the tests say so.
 test-ros: $(READY) $(ROS_READY)
@@ -38,20 +38,21 @@ test-ros: $(READY) $(ROS_READY)
 # Those of the sandbox are among them, as nothing brings bubblewrap before.
 test-system: $(READY)
 	tests/system/install-packages
-	$(PYTEST) -n 4 -m "root or sandbox"
+	$(PYTEST) -n 4 -m "(root or sandbox) and not nightly"
 
 # All of these at once, as continuous integration runs them: what waits for flights leaves the processors to the rest.
 test-all: $(READY) $(ROS_READY)
 	tests/system/install-packages
-	$(PYTEST) -n 8 -m "not search"
+	$(PYTEST) -n 8 -m "not nightly"
 
 # Compiles each module once, which all processes of a first run would do at the same time.
 collect: $(READY)
 	$(BIN)/python -m pytest --collect-only --quiet >/dev/null
 
-# Many more drawn worlds than the tests above search; some are those of the day.
-search: $(READY)
-	$(PYTEST) -n 2 -m search
+# What takes too long for each push: the benches, ns-3, and many more drawn worlds, some of them those of the day.
+nightly: $(READY) $(ROS_READY)
+	tests/system/install-packages
+	$(PYTEST) -n 2 -m nightly
 
 # The ns-3 programs of `upwash emulate --radio ns3` and `upwash goodput`; nothing else needs them.
 native:

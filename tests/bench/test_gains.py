@@ -79,7 +79,7 @@ def test_the_kept_missions_are_of_the_worlds_and_variants_that_there_are() -> No
     assert flown == [(world.group, world.name) for world in worlds()]
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["demonstration", "answers 3 s late"])
 def test_kept_missions_take_as_long_when_they_are_flown_again(name: str) -> None:
     (world,) = (world for world in worlds() if world.name == name)

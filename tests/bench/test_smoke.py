@@ -1,9 +1,11 @@
-"""Every program of bench/ runs, with as little to do as it can be told to have, and prints its figures."""
+"""Every program of bench/ tells its options; at night it runs with little to do, and prints its figures."""
 
 from __future__ import annotations
 
 import json
 import re
+import runpy
+import sys
 from pathlib import Path
 
 import pytest
@@ -46,7 +48,8 @@ QUICK = {  # what each prints, among others
     "two_answers": r"\| rows \| 4 s \| [\d.]+ \| -?[\d.]+ ± [\d.]+ % \|",
     "vehicle": r"\| total \| [\d.]+ \| [\d.]+ \|",
 }
-BELOW = {"flights", "promises", "px4_events", "px4_figures", "sandbox", "view", "weight"}
+RUN_BELOW = {"flights", "px4_events", "px4_figures"}  # in moments
+BELOW = {"promises", "sandbox", "view", "weight", *RUN_BELOW}
 # In test_smoke_as_root.py and tests/system/test_peers_bench.py.
 AS_ROOT = {"containers", "deadlines", "less_to_send", "links", "peers", "ros", "validate"}
 ENDS = {"client", "servers"}  # which `call` and `load` start
@@ -62,15 +65,27 @@ def test_no_program_is_left_out() -> None:
     assert programs == QUICK.keys() | BELOW | AS_ROOT | ENDS
 
 
+@pytest.mark.parametrize("program", sorted((QUICK.keys() | BELOW | AS_ROOT) - RUN_BELOW))
+def test_a_program_tells_how_it_is_used(
+    program: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", [program, "--help"])
+    monkeypatch.delitem(sys.modules, f"bench.{program}", raising=False)
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_module(f"bench.{program}", run_name="__main__", alter_sys=True)
+    assert ended.value.code == 0
+    assert capsys.readouterr().out.startswith("usage: ")
+
+
 @pytest.mark.system
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize("program", QUICK)
 def test_a_program_prints_its_figures(program: str) -> None:
     assert re.search(QUICK[program], printed(f"bench.{program}", "--quick"))
 
 
 @pytest.mark.system
-@pytest.mark.long
+@pytest.mark.nightly
 def test_missions_of_two_checkouts_stand_beside_each_other() -> None:
     said = printed("bench.simulate", "--quick", "--against", str(ROOT))
     assert re.search(
@@ -79,7 +94,7 @@ def test_missions_of_two_checkouts_stand_beside_each_other() -> None:
 
 
 @pytest.mark.system
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_soak_tells_what_the_daemon_holds() -> None:
     said = printed("bench.load", "--quick", "--soak", "2")
     assert re.search(r"\d+ s: [\d.]+ MB, \d+ descriptors\n", said)
@@ -97,7 +112,7 @@ def test_pages_are_looked_at_without_being_written() -> None:
 
 
 @pytest.mark.system
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.skipif(not Path("/proc/self/smaps").exists(), reason="/proc/PID/smaps is Linux's")
 def test_a_drones_programs_are_weighed() -> None:
     said = printed("bench.weight", "--quick")
@@ -107,7 +122,7 @@ def test_a_drones_programs_are_weighed() -> None:
 
 
 @pytest.mark.system
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.skipif(bool(why_not()), reason=why_not())
 def test_a_page_is_watched() -> None:
     said = printed("bench.view", "--quick")
@@ -118,6 +133,7 @@ def test_a_page_is_watched() -> None:
 
 @pytest.mark.sandbox
 @pytest.mark.system
+@pytest.mark.nightly
 def test_calls_into_a_sandbox_stand_beside_others() -> None:
     try:
         find_sandbox(readable=())

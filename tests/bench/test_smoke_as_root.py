@@ -12,7 +12,7 @@ from tests.podman import OwnPodman
 from tests.programs import printed
 from tests.system.test_ros import HAS_ROS, NO_ROS, PYTHON
 
-pytestmark = [pytest.mark.root, pytest.mark.system]
+pytestmark = [pytest.mark.nightly, pytest.mark.root, pytest.mark.system]
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="makes network namespaces: needs root")
 needs_ip = pytest.mark.skipif(not shutil.which("ip"), reason="needs iproute2")
 

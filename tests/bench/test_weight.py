@@ -91,7 +91,7 @@ def test_a_summary_has_medians_and_the_rounds_own_ratios() -> None:
 
 @on_linux
 @pytest.mark.system
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize("with_server", [False, True])
 def test_a_drone_is_weighed_while_it_flies(tmp_path: Path, with_server: bool) -> None:
     make_keys(tmp_path, servers=[["s1"]], drones=["drone"])

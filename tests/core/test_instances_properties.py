@@ -335,5 +335,5 @@ class ManyDaemons(Daemon):
 UNHURRIED = settings(stateful_step_count=40, deadline=None)
 TestDaemon = Daemon.TestCase
 TestDaemon.settings = settings(UNHURRIED, max_examples=100)
-TestManyDaemons = pytest.mark.search(ManyDaemons.TestCase)
+TestManyDaemons = pytest.mark.nightly(ManyDaemons.TestCase)
 TestManyDaemons.settings = settings(UNHURRIED, max_examples=500)

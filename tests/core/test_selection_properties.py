@@ -537,5 +537,5 @@ UNHURRIED = settings(stateful_step_count=50, deadline=None, suppress_health_chec
 A_FAILURE_IS_MADE_SMALL = pytest.mark.timeout(900)  # for up to 300 s
 TestFlights = A_FAILURE_IS_MADE_SMALL(Flights.TestCase)
 TestFlights.settings = settings(UNHURRIED, max_examples=100)
-TestManyFlights = pytest.mark.search(A_FAILURE_IS_MADE_SMALL(ManyFlights.TestCase))
+TestManyFlights = pytest.mark.nightly(A_FAILURE_IS_MADE_SMALL(ManyFlights.TestCase))
 TestManyFlights.settings = settings(UNHURRIED, max_examples=1000)

@@ -196,5 +196,5 @@ test_a_drone_that_keeps_asking_waits_two_turns_of_each_of_the_others_at_most = s
     fields(no_wait_is_too_long)
 )
 test_whatever_a_drone_says_it_has_hardly_more_than_an_honest_one_beside_it = some(liars(no_lie_pays))
-test_no_wait_is_too_long_in_many_fields = pytest.mark.search(many(fields(no_wait_is_too_long)))
-test_no_lie_pays_in_many_fields = pytest.mark.search(many(liars(no_lie_pays)))
+test_no_wait_is_too_long_in_many_fields = pytest.mark.nightly(many(fields(no_wait_is_too_long)))
+test_no_lie_pays_in_many_fields = pytest.mark.nightly(many(liars(no_lie_pays)))

@@ -35,7 +35,7 @@ def assert_kept(seeds: range) -> None:
 
 @pytest.mark.parametrize(
     "first",
-    [1, *(pytest.param(first, marks=pytest.mark.search) for first in range(1 + CHUNK, WORLDS + 1, CHUNK))],
+    [1, *(pytest.param(first, marks=pytest.mark.nightly) for first in range(1 + CHUNK, WORLDS + 1, CHUNK))],
 )
 def test_promises_hold_in_known_worlds(first: int) -> None:
     assert_kept(range(first, first + CHUNK))
@@ -45,7 +45,7 @@ def test_promises_hold_in_known_worlds(first: int) -> None:
     "chunk",
     [
         pytest.param(0, marks=pytest.mark.long),
-        *(pytest.param(chunk, marks=pytest.mark.search) for chunk in range(1, WORLDS // CHUNK)),
+        *(pytest.param(chunk, marks=pytest.mark.nightly) for chunk in range(1, WORLDS // CHUNK)),
     ],
 )
 def test_promises_hold_in_worlds_of_the_day(chunk: int) -> None:

@@ -46,7 +46,9 @@ EMULATED = Path(__file__).parent / "emulated"
 DEMONSTRATION = ROOT / "scenarios" / "demonstration.toml"
 
 
-@pytest.fixture(params=["table", pytest.param("ns3", marks=pytest.mark.xdist_group("ns3"))])
+@pytest.fixture(
+    params=["table", pytest.param("ns3", marks=(pytest.mark.xdist_group("ns3"), pytest.mark.nightly))]
+)
 def radio(request: pytest.FixtureRequest) -> str:
     """Each kind of radio; ns-3's programs are built first, and run one at a time, as they hold each other up."""
     if request.param == "ns3":

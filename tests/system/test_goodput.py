@@ -10,7 +10,7 @@ from tests.system.ns3 import require_ns3
 
 from upwash.sim.radio import read_goodput
 
-pytestmark = [pytest.mark.root, pytest.mark.system, pytest.mark.timeout(280)]
+pytestmark = [pytest.mark.nightly, pytest.mark.root, pytest.mark.system, pytest.mark.timeout(280)]
 
 
 @pytest.mark.parametrize(("radio", "ends_at_m"), [("disc12", 105), ("disc54", 115)])

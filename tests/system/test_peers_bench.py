@@ -18,6 +18,7 @@ PEERS = ("`requests`, time-out 2 s", "upwash, defaults")
 CALLS = 5
 
 pytestmark = [
+    pytest.mark.nightly,
     pytest.mark.root,
     pytest.mark.system,
     pytest.mark.xdist_group("emulate"),  # whose tests clean up after each other
