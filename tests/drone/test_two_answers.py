@@ -115,6 +115,21 @@ def test_no_better_answer_counts_after_the_deadline(mission: dict[str, Any], wit
     assert max(call.delay_s for call in run.result.calls) <= within_s + 0.01
 
 
+def test_no_better_answer_is_asked_for_that_cannot_come_by_the_deadline() -> None:
+    for within_s, asked in ((3.5, None), (4.5, "s1")):  # the server answers in 4 s
+        run = fly(NEAR, two={**TWO, "within_s": within_s})
+        assert {event.server for event in of(list(run.events), schema.Decided)} == {asked}
+        assert not of(list(run.events), schema.RemoteFailed)  # the server is not blamed for the deadline
+
+
+def test_a_server_that_becomes_ready_too_late_is_not_asked_for_a_better_answer() -> None:
+    starting = {**NEAR, "check_s": 12.5, "check_running_s": 12.5}  # READY 1.5 s after the first call
+    for within_s, asked in ((5.0, []), (6.0, ["for the better answer"])):
+        run = fly(starting, two={**TWO, "within_s": within_s})
+        assert [event.why for event in of(list(run.events), schema.Decided) if event.t == 12.5] == asked
+        assert not of(list(run.events), schema.RemoteFailed)
+
+
 @pytest.mark.parametrize("manner", ["stay", "go"])
 @pytest.mark.parametrize("event", [MISSED, {"probability": 0.0}], ids=["better", "none"])
 def test_the_forecast_and_the_least_time_count_the_first_answer(event: dict[str, Any], manner: str) -> None:

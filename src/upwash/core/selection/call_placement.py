@@ -111,6 +111,8 @@ class CallPlacement:
         computed_s = self._first_s(two.first if two else operation, local_s)
         if server is None or remote_s is None or not self._answers(server, operation):
             return computed_s, math.inf
+        if two is not None and remote_s > two.within_s:
+            return computed_s, math.inf
         decision = self._policy.decide(self._call(server, operation, local_s, remote_s, now_s))
         return computed_s, remote_s if isinstance(decision, Remote) else math.inf
 
@@ -124,12 +126,17 @@ class CallPlacement:
         return server.in_range and server.state is State.READY and not in_doubt
 
     def decide(
-        self, operation: Operation, now_s: float, *, on_drone: bool = False, first: Operation | None = None
+        self,
+        operation: Operation,
+        now_s: float,
+        *,
+        on_drone: bool = False,
+        drone_is_busy: bool = False,
     ) -> tuple[Decision, list[Effect]]:
         """Decide where a call made now runs; leave the server in use if it is out of range.
 
-        With `on_drone` the drone takes the call out of the line. A call whose `first` answer the
-        drone has sooner than the server runs at both.
+        With `on_drone` the drone takes the call out of the line. A call with two answers runs at both places where
+        the drone, if not busy, has the first one before the server, and on the drone where the server is too late.
         """
         if self._estimates.needs_server(operation):
             return self._at_server(operation, now_s), []
@@ -148,13 +155,16 @@ class CallPlacement:
             return Local(f"no estimate of {operation} on {server.name}", inputs), []
         if server.state in CHECKING and server.is_full(now_s):
             return Local(f"{server.name} has no free slot", inputs), []
+        two = self._two_answers.get(operation)
+        if two is not None and remote_s > two.within_s:
+            return Local(f"{server.name} answers too late for the better answer", inputs), []
         decision = self._on_trial(server, operation, local_s, now_s)
         if decision is not None:  # how a server in doubt answers whole calls is seen from whole calls
             inputs = structs.replace(inputs, whole_s=None, less_s=None)
         else:
             decision = self._policy.decide(self._call(server, operation, local_s, remote_s, now_s))
         if isinstance(decision, Remote):
-            if first is not None and self._first_s(first, local_s) < remote_s:
+            if two is not None and not drone_is_busy and self._first_s(two.first, local_s) < remote_s:
                 decision = replace(decision, raced=True)
             decision = self._behind_queue(decision, operation, now_s)
         return replace(decision, inputs=inputs), []

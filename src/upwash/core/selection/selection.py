@@ -176,9 +176,8 @@ class Selection:
             if self._lighter is not None:
                 lightened = self._lighter.judge(operation, now_s=now_s, position=position)
         operation = lightened.operation if lightened else operation
-        first = self._settings.two_answers.get(operation)
         decision, effects = self._placement.decide(
-            operation, now_s, on_drone=on_drone, first=first.first if first and not drone_is_busy else None
+            operation, now_s, on_drone=on_drone, drone_is_busy=drone_is_busy
         )
         self._planning.decided(decision, operation, now_s)
         if lightened is not None:
