@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.schema import Event
 from upwash.lab.run import simulate
 from upwash.lab.scenario import with_policy
-from upwash.lab.whatif import Prediction, Replays, WhatIf, tune, what_if
+from upwash.lab.whatif import Prediction, Replays, WhatIf, best_of, predicted, tune, what_if
 
 pytestmark = pytest.mark.virtual
 FEW = Replays(draws=6, workers=1)
@@ -182,6 +183,24 @@ def log_of(tmp_path: Path, events: KeptEvents) -> Path:
     file = tmp_path / "flight.jsonl"
     file.write_bytes(b"".join(events.lines()))
     return file
+
+
+def test_a_setting_is_worth_what_it_saves_in_the_replays_that_did_not_choose_it() -> None:
+    lucky = [30.0, 1.0, 31.0, 2.0, 29.0, 3.0]
+    best = best_of({"lucky": lucky, "steady": [5.0, 5.1] * 3})
+    assert best is not None
+    assert (best.setting, best.saved.value) == ("lucky", pytest.approx(2.0))
+    assert best_of({"unsure": [30.0, 0.0, -30.0, 0.0, 1.0, 0.0]}) is None
+    assert best_of({}) is None
+
+
+def test_an_interval_is_of_one_flight_more_and_counts_the_models_doubt() -> None:
+    logs, doubt = [5.0, 5.1, 5.2], 0.3
+    found = predicted("look-ahead", logs, doubt)
+    deviation = math.hypot(0.1 * math.sqrt(1 + 1 / 3), doubt)
+    margin = 4.303 * deviation  # t of two degrees of freedom, 95 %
+    assert math.log(found.high_s / found.time_s) == pytest.approx(margin, rel=1e-3)
+    assert math.log(found.time_s / found.low_s) == pytest.approx(margin, rel=1e-3)
 
 
 def test_the_command_prints_the_quickest_first_and_one_json_object(

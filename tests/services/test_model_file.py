@@ -162,10 +162,11 @@ def change(message: Any, data: st.DataObject) -> None:
             field.CPPTYPE_STRING: st.sampled_from(WORDS),
             field.CPPTYPE_FLOAT: st.floats(width=32),
             field.CPPTYPE_DOUBLE: st.floats(),
-            field.CPPTYPE_ENUM: st.integers(0, 30),
             field.CPPTYPE_INT32: st.sampled_from([number for number in INTEGERS if abs(number) < 2**31]),
             field.CPPTYPE_UINT64: st.sampled_from([number for number in INTEGERS if number >= 0]),
         }
+        if field.enum_type is not None:  # a number that it has not is dropped as the file is read
+            kinds[field.cpp_type] = st.sampled_from([each.number for each in field.enum_type.values])
         value = data.draw(kinds.get(field.cpp_type, st.sampled_from(INTEGERS)))
         if field.type == field.TYPE_STRING:
             value = value.decode()

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean, stdev
 
@@ -132,7 +132,7 @@ def what_if(
             notes.append(
                 f"replays under {flown.policy} are unlike the flight itself by more than {100 * excess:.0f} %"
             )
-    predictions = [_prediction(policy, found, doubt) for policy, found in logs.items()]
+    predictions = [predicted(policy, found, doubt) for policy, found in logs.items()]
     return WhatIf(
         policy=flown.policy,
         flown_s=flown.time_s,
@@ -172,18 +172,25 @@ def tune(
     }
     saved = {name: [save_s for save_s in found if math.isfinite(save_s)] for name, found in saved.items()}
     saved = {name: found for name, found in saved.items() if len(found) > draws / 2}
-    chosen = max(saved, key=lambda name: fmean(saved[name][::2]), default=None)
-    best = None
-    if chosen is not None and (first := mean_of(saved[chosen][::2])).value > first.margin:
-        best = Tuned(chosen, mean_of(saved[chosen][1::2]))
     tuned = [Tuned(name, mean_of(found)) for name, found in saved.items()]
     return Tuning(
         policy=policy,
         flown_s=sum(flown.time_s for flown in flights),
         settings=sorted(tuned, key=lambda found: -found.saved.value),
-        best=best,
+        best=best_of(saved),
         estimates=list(dict.fromkeys(line for flown in flights for line in flown.estimates())),
     )
+
+
+def best_of(saved: Mapping[str, Sequence[float]]) -> Tuned | None:
+    """The setting that saves most in every other replay, with what it saves in those that did not choose it.
+
+    None where it saves nothing for sure in the replays that chose it.
+    """
+    chosen = max(saved, key=lambda name: fmean(saved[name][::2]), default=None)
+    if chosen is None or (first := mean_of(saved[chosen][::2])).value <= first.margin:
+        return None
+    return Tuned(chosen, mean_of(saved[chosen][1::2]))
 
 
 def _sum(times: Iterator[float | None]) -> float:
@@ -201,8 +208,11 @@ def _replayed_s(replay: _Replay) -> float | None:
     return run.result.mission_time_s if run.result.completed else None
 
 
-def _prediction(policy: str, logs: Sequence[float], doubt: float) -> Prediction:
-    """The prediction by the logarithms of replayed times; `doubt` is the relative deviation of the model itself."""
+def predicted(policy: str, logs: Sequence[float], doubt: float) -> Prediction:
+    """The prediction by the logarithms of replayed times; `doubt` is the relative deviation of the model itself.
+
+    The interval is that of one flight more, and as wide as the replays at least.
+    """
     mean = fmean(logs)
     deviation = math.sqrt(stdev(logs) ** 2 * (1 + 1 / len(logs)) + doubt**2)
     margin = student_quantile(len(logs) - 1) * deviation
