@@ -13,16 +13,21 @@ MOST_BYTES = 120_000_000
 MOST_ASKED = 40  # a renewal every two thirds of a second at most, and a dozen calls
 
 
+AT_NIGHT = (  # tests/drone tells the drone each of these, and fifty more, on virtual time
+    "a started endpoint of 10 MB",
+    "a lease of 1e-9 s",
+    "an endpoint unix-abstract:",
+    "control characters in a refusal",
+)
+
+
 @pytest.mark.flight
 @pytest.mark.parametrize(
     "name",
     [
         "150,000 endpoints",
-        "a started endpoint of 10 MB",
-        "a lease of 1e-9 s",
         "an endpoint ipv4:",
-        "an endpoint unix-abstract:",
-        "control characters in a refusal",
+        *(pytest.param(name, marks=pytest.mark.nightly) for name in AT_NIGHT),
     ],
 )
 def test_a_lie_costs_waits_and_never_the_flight(name: str, tmp_path: Path) -> None:

@@ -178,21 +178,14 @@ def check_against_simulation(flown: RunResult, late_s: float) -> None:
     assert 0.9 * expected_s < flown.mission_time_s < 1.1 * expected_s + late_s
 
 
-def test_who_looks_ahead_finds_the_second_server_warm_on_arrival(tmp_path: Path) -> None:
-    with started(tmp_path, "--policy", "look-ahead") as demonstration:
+def test_who_looks_ahead_and_goes_on_finds_a_warm_server_and_tells_all_at_its_waypoint(
+    tmp_path: Path,
+) -> None:
+    with started(tmp_path, "--policy", "look-ahead", "--stay-or-go", "learn") as demonstration:
         result = demonstration.finish()
-    steps = [event for event in demonstration.events() if event.get("server") == "s2" and "before" in event]
-    first = [(event["event"], event["after"]) for event in steps[:3]]
-    assert first == [("prepared", "AVL-R"), ("selected", "CHECK-R"), ("found_running", "READY")]
-    assert steps[0]["why"] == "by s1"
-    assert "started" not in {event["event"] for event in steps}
-    assert set(result.totals.remote) == {"s1", "s2"}
-
-
-def test_who_learns_when_to_go_on_finds_all_the_same_and_tells_it_at_its_waypoint(tmp_path: Path) -> None:
-    with started(tmp_path, "--stay-or-go", "learn") as demonstration:
-        demonstration.finish()
     events = demonstration.events()
+    check_is_prepared(events)
+    assert set(result.totals.remote) == {"s1", "s2"}
     decided = [event for event in events if event["event"] == "stay_or_go"]
     assert [event["waypoint"] for event in decided] == list(range(WAYPOINTS))
     assert decided[0]["goes"], "3 s on the drone, and nothing known of what answers demand"
@@ -207,19 +200,18 @@ def test_who_learns_when_to_go_on_finds_all_the_same_and_tells_it_at_its_waypoin
     assert turned_back == went & set(demanding)
 
 
-def test_the_mission_survives_the_kill_of_both_daemons(demonstration: Demonstration) -> None:
-    demonstration.wait_for(lambda event: event["event"] == "arrived" and event["waypoint"] == 7)
-    daemons = demonstration.daemons()
-    assert len(daemons) == 2
-    for daemon in daemons:
-        os.kill(daemon.pid, signal.SIGKILL)
-    result = demonstration.finish()
-    after = [call for call in result.calls if call.waypoint is not None and call.waypoint >= 8]
-    assert {call.place for call in after} == {"local"}
-    assert any(call.place != "local" for call in result.calls[:7])
+def check_is_prepared(events: list[dict[str, Any]]) -> None:
+    """The second server was warm on arrival."""
+    steps = [event for event in events if event.get("server") == "s2" and "before" in event]
+    first = [(event["event"], event["after"]) for event in steps[:3]]
+    assert first == [("prepared", "AVL-R"), ("selected", "CHECK-R"), ("found_running", "READY")]
+    assert steps[0]["why"] == "by s1"
+    assert "started" not in {event["event"] for event in steps}
 
 
-def test_the_mission_survives_the_kill_of_instances(demonstration: Demonstration) -> None:
+def test_the_mission_survives_the_kill_of_instances_and_then_of_both_daemons(
+    demonstration: Demonstration,
+) -> None:
     demonstration.wait_for(lambda event: event["event"] == "arrived" and event["waypoint"] == 2)
     servers_instances = demonstration.instances(*(daemon.pid for daemon in demonstration.daemons()))
     assert servers_instances, "s1 runs its detector by now"
@@ -228,17 +220,22 @@ def test_the_mission_survives_the_kill_of_instances(demonstration: Demonstration
     demonstration.wait_for(lambda event: event["event"] == "leg" and event["waypoint"] == 5)
     (onboard,) = demonstration.instances(demonstration.process.pid)
     os.kill(onboard.pid, signal.SIGKILL)
+    demonstration.wait_for(lambda event: event["event"] == "arrived" and event["waypoint"] == 8)
+    before = demonstration.events()
+    daemons = demonstration.daemons()
+    assert len(daemons) == 2
+    for daemon in daemons:
+        os.kill(daemon.pid, signal.SIGKILL)
     result = demonstration.finish()
-    assert (
-        result.completed and result.totals.calls == 12
-    )  # by the drone, or by the server where it was back first
-    events = demonstration.events()
-    failures = [event["why"] for event in events if event["event"] == "remote_failed"]
+    failures = [event["why"] for event in before if event["event"] == "remote_failed"]
     cut = [why for why in failures if "no answer within" not in why]  # a busy machine answers late
     assert len(cut) == 1, "the call to the killed instance"
-    kinds = [event["event"] for event in events]
+    kinds = [event["event"] for event in demonstration.events()]
     assert "local_ended" in kinds
     assert kinds.count("local_ready") == 2
+    after = [call for call in result.calls if call.waypoint is not None and call.waypoint >= 9]
+    assert {call.place for call in after} == {"local"}
+    assert any(call.place != "local" for call in result.calls[:8])
 
 
 def test_ctrl_c_lands_the_drone_and_leaves_nothing_behind(demonstration: Demonstration) -> None:
@@ -257,44 +254,31 @@ def assert_landed(events: list[dict[str, Any]]) -> None:
 
 
 @pytest.mark.timeout(480)
-def test_three_drones_fly_at_once_and_each_does_all_of_its_mission(tmp_path: Path) -> None:
-    drones = ["drone-1", "drone-2", "drone-3"]
+def test_of_three_drones_one_whose_program_is_killed_does_not_end_the_others(tmp_path: Path) -> None:
+    whole = ["drone-1", "drone-2"]
     with started(tmp_path, "--drones", "3") as demonstration:
-        output = demonstration.end(0)
-    results = {drone: demonstration.flown(f"{drone}.jsonl") for drone in drones}
-    places = {drone: plan_of(demonstration.events(f"{drone}.jsonl")) for drone in drones}
+        demonstration.wait_for(lambda event: event["event"] == "arrived", log="drone-3.jsonl")
+        (killed,) = (
+            process
+            for process in demonstration.processes()
+            if process.parent == demonstration.process.pid and "drone-3.toml" in process.command
+        )
+        os.kill(killed.pid, signal.SIGKILL)
+        output = demonstration.end(1)
+    results = {drone: demonstration.flown(f"{drone}.jsonl") for drone in whole}
+    places = {drone: plan_of(demonstration.events(f"{drone}.jsonl")) for drone in [*whole, "drone-3"]}
     assert len({place for plan in places.values() for place in plan}) == 3 * WAYPOINTS, "each on its own lane"
     assert {server for result in results.values() for server in result.totals.remote} == {"s1", "s2"}
-    for drone in drones:
+    for drone in whole:
         assert any(
             line.startswith(f"{drone}  ") and line.endswith("s  landed at home")
             for line in output.splitlines()
         )
-    assert "3 of 3 flights completed; mission time: mean" in output
+    assert "2 of 3 flights completed; mission time: mean" in output
+    assert "landed" not in [event["event"] for event in demonstration.events("drone-3.jsonl")]
     assert (tmp_path / "run" / "keys" / "drone-3.key").exists(), "each has its own"
 
 
 def plan_of(events: list[dict[str, Any]]) -> list[tuple[float, float]]:
     (planned,) = (event for event in events if event["event"] == "planned")
     return [(east_m, north_m) for east_m, north_m in planned["waypoints_m"]]
-
-
-@pytest.mark.timeout(480)
-def test_a_drone_whose_program_is_killed_does_not_end_the_others_and_ctrl_c_lands_them(
-    tmp_path: Path,
-) -> None:
-    with started(tmp_path, "--drones", "2") as demonstration:
-        demonstration.wait_for(lambda event: event["event"] == "arrived", log="drone-2.jsonl")
-        (killed,) = (
-            process
-            for process in demonstration.processes()
-            if process.parent == demonstration.process.pid and "drone-2.toml" in process.command
-        )
-        os.kill(killed.pid, signal.SIGKILL)
-        before = len(demonstration.events("drone-1.jsonl"))
-        demonstration.wait_for(lambda event: event["event"] == "arrived", log="drone-1.jsonl", since=before)
-        demonstration.process.send_signal(signal.SIGINT)
-        output = demonstration.end(130)
-    assert_landed(demonstration.events("drone-1.jsonl"))
-    assert "landed" not in [event["event"] for event in demonstration.events("drone-2.jsonl")]
-    assert "no flight was completed" in output

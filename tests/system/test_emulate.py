@@ -185,13 +185,18 @@ def test_the_demonstration_goes_as_it_is_simulated(radio: str, emulate: Callable
 
 
 @pytest.mark.flight
+@pytest.mark.nightly
 def test_it_goes_so_in_containers_too_with_services_in_containers_of_the_servers_own(
     emulate: Callable[..., Emulation],
 ) -> None:
     require_engine()
     emulation = emulate(str(DEMONSTRATION), "--in", "containers")
     expect_as_simulated(emulation)
-    for server in ("s1", "s2"):
+    check_services_are_contained(emulation, "s1", "s2")
+
+
+def check_services_are_contained(emulation: Emulation, *servers: str) -> None:
+    for server in servers:
         assert 'kind = "lxd"' in (emulation.folder / f"{server}.toml").read_text()
         assert "detector@" in (emulation.folder / f"{server}.log").read_text()
 
@@ -243,6 +248,8 @@ def test_a_call_is_cut_when_the_drone_leaves_the_range_and_answered_on_the_drone
     out_of_range_after_s, local_s = 3.5, 5.0
     assert local_s < cut.delay_s < out_of_range_after_s + local_s + 0.5, emulation.events()
     assert any(event["event"] == "remote_failed" for event in emulation.events())
+    if computers == "containers":
+        check_services_are_contained(emulation, "s1")
 
 
 @pytest.mark.flight
