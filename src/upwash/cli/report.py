@@ -9,11 +9,9 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from upwash.cli.arguments import option
+from upwash.cli.client_document import CLIENT, client_document_of
 from upwash.cli.other_policies import OTHERS_FLY, others_flown
 from upwash.errors import UsageError
-from upwash.report.client.album import MOST_BYTES
-from upwash.report.client.document import Wording, client_document
-from upwash.report.client.words import NO_WORDS, read_words
 from upwash.report.exports import write_csv, write_geojson, write_json
 from upwash.report.finding_files import FORMATS, findings_file
 from upwash.report.photos import PhotoShelf
@@ -22,13 +20,11 @@ from upwash.support.loading import extra
 from upwash.support.output_files import write_file
 from upwash.support.progress import work
 from upwash.support.standard_streams import print_bytes
-from upwash.support.text import counted, printable
 from upwash.view.file import write_page
 
 Writer = Callable[[Sequence[Record]], bytes | Iterable[bytes]]
 
 _PRINTED = Path("-")
-_LONGEST_TITLE, _LONGEST_NOTE = 200, 5000  # characters
 
 
 ARGUMENTS = {
@@ -46,39 +42,24 @@ ARGUMENTS = {
         action="append",
         default=[],
     ),
-    "--client": "with -o: the document for the client, of objects, places and pictures",
-    "--title TEXT": "with --client: its title (default: Inspection of the date)",
-    "--note TEXT": "with --client: a note under the title; each line is a paragraph",
-    "--labels FILE": "with --client: a CSV file with the client's words: label, name, severity, colour",
+    **CLIENT,
     "--json": "print the results as one JSON array",
 }
 
 
 def run(options: argparse.Namespace) -> None:
     """Make the wanted files."""
-    page = _client_page(options) if options.client else functools.partial(_page, options=options)
+    for_client = client_document_of(options)
     folder = options.photos[0] if options.photos else None
     files: list[tuple[Path | None, Writer]] = [
-        (options.out, page),
+        (options.out, for_client or functools.partial(_page, options=options)),
         (options.csv, _in_utf8(write_csv)),
         (options.geojson, _in_utf8(write_geojson)),
         (options.findings, functools.partial(_findings, file=options.findings, photos=folder)),
         (options.mcap, functools.partial(_recording, photos=folder)),
         (_PRINTED if options.json else None, _in_utf8(lambda records: write_json(records) + "\n")),
     ]
-    if options.photos and not (options.mcap or options.out or options.findings or options.bag):
-        raise UsageError("--photos goes with -o, --mcap, --bag or --findings: nothing else has photos in it")
-    if len(options.photos) > 1:
-        _check_folders(options)
-    if options.findings and _suffix(options.findings) not in FORMATS:
-        endings = ", ".join(f".{name}" for name in FORMATS)
-        raise UsageError(
-            f"{options.findings} does not say which format the findings must have: end it in one of {endings}"
-        )
-    if not options.client and (options.title or options.note or options.labels):
-        raise UsageError("--title, --note and --labels go with --client: nothing else has them")
-    if options.scenario and not options.out:
-        raise UsageError("--scenario goes with -o: only the page says what other policies would have done")
+    _check(options)
     wanted = [(file, write) for file, write in files if file is not None]
     if not wanted and not options.bag:
         raise UsageError(
@@ -108,53 +89,30 @@ def run(options: argparse.Namespace) -> None:
         print(f"written: {options.bag}", file=sys.stderr)
 
 
+def _check(options: argparse.Namespace) -> None:
+    """Raises UsageError for options that do not go together."""
+    if options.photos and not (options.mcap or options.out or options.findings or options.bag):
+        raise UsageError("--photos goes with -o, --mcap, --bag or --findings: nothing else has photos in it")
+    if len(options.photos) > 1 and (not options.client or options.mcap or options.bag or options.findings):
+        raise UsageError(
+            "several --photos go with --client alone: name one folder, or make the other files by themselves"
+        )
+    if options.findings and _suffix(options.findings) not in FORMATS:
+        endings = ", ".join(f".{name}" for name in FORMATS)
+        raise UsageError(
+            f"{options.findings} does not say which format the findings must have: end it in one of {endings}"
+        )
+    if options.scenario and (not options.out or options.client):
+        raise UsageError(
+            "--scenario goes with -o, without --client: only the flight page says what other policies would have done"
+        )
+
+
 def _page(records: Sequence[Record], *, options: argparse.Namespace) -> Iterable[bytes]:
     flown = others_flown(options.logs, options.scenario)
     return write_page(
         options.logs, records, photos=options.photos[0] if options.photos else None, flown=flown
     )
-
-
-def _check_folders(options: argparse.Namespace) -> None:
-    """Raises UsageError unless each log has a folder of its own, and all that is made knows which."""
-    if not options.client or options.mcap or options.bag or options.findings:
-        raise UsageError(
-            "several --photos go with --client alone: name one folder, or make the other files by themselves"
-        )
-    if len(options.photos) != len(options.logs):
-        raise UsageError(
-            f"{len(options.photos)} --photos for {len(options.logs)} logs: name one folder for all, or one for each log"
-        )
-
-
-def _client_page(options: argparse.Namespace) -> Writer:
-    """What makes the client's document; its options are read at once."""
-    if not options.out:
-        raise UsageError("--client goes with -o: name the document's file")
-    if options.scenario:
-        raise UsageError("--scenario goes with the flight page: leave it or --client out")
-    for name, text, most in (
-        ("--title", options.title, _LONGEST_TITLE),
-        ("--note", options.note, _LONGEST_NOTE),
-    ):
-        if text and len(text) > most:
-            raise UsageError(f"{name} has {len(text)} characters: shorten it to {most}")
-    title = printable(options.title.strip()) if options.title else ""
-    words = read_words(options.labels) if options.labels else NO_WORDS
-    wording = Wording(title, options.note or "", words)
-    shelves = [PhotoShelf(folder) for folder in options.photos or [None]]
-    return functools.partial(_for_the_client, shelves=shelves, wording=wording)
-
-
-def _for_the_client(records: Sequence[Record], *, shelves: Sequence[PhotoShelf], wording: Wording) -> bytes:
-    document = client_document(records, shelves if len(shelves) > 1 else [shelves[0]] * len(records), wording)
-    said = f"{len(document.html) / 1e6:.1f} MB, pictures of {document.shown} of {counted(document.photos, 'photo')}"
-    if document.left_out:
-        said += f"; the others are left out to stay below {MOST_BYTES / 1e6:.0f} MB of pictures"
-    elif not document.shown and document.photos:
-        said += "; pictures need OpenCV (upwash[detector]), and kept photos need --photos DIR"
-    print(f"the client's document: {said}", file=sys.stderr)
-    return document.html
 
 
 def _in_utf8(write: Callable[[Sequence[Record]], str]) -> Writer:

@@ -50,6 +50,10 @@ class Album:
     bytes: int = 0
     full: bool = False
 
+    def shows(self, each: Inspected) -> bool:
+        """Whether there is a picture of the object."""
+        return (each.name, 0) in self.crops or bool(each.looks and each.looks[0].photo in self.photos)
+
     def add(self, pictures: dict[Key, Crop], key: Key, picture: Crop | None) -> None:
         """Add the picture to those of its kind, if there is one, and room for it."""
         if picture is None:

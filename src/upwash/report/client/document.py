@@ -24,6 +24,7 @@ from upwash.report.record import Record
 from upwash.support.text import counted, printable
 
 _LONGEST_LABEL = 80  # characters
+_MOST_FLIGHTS = 20  # with a line each
 _SECURITY = "default-src 'none'; base-uri 'none'; form-action 'none'; img-src data:; style-src"
 _COLOURS = ("paper", "ink", "soft", "line", "band", "alarm")
 
@@ -39,12 +40,15 @@ class Wording:
 
 @dataclass(frozen=True, slots=True)
 class ClientDocument:
-    """The document, and what is in it: how many photos of how many."""
+    """The document, how many photos the flights have, and of how many there are pictures.
+
+    `is_full` says that there are fewer pictures than usual, as all have a bound.
+    """
 
     html: bytes
     photos: int
     shown: int
-    left_out: bool
+    is_full: bool
 
 
 def client_document(
@@ -60,9 +64,7 @@ def client_document(
         for flight in each.site.flights
     }
     album = album_of(survey, shelves, by_flight)
-    drawn = [
-        each.draw(mosaic.jpeg, album.laid, wording.words) for each, mosaic in zip(maps, mosaics, strict=True)
-    ]
+    drawn = [each.draw(mosaic.jpeg, album, wording.words) for each, mosaic in zip(maps, mosaics, strict=True)]
     title = wording.title or _title(survey)
     body = element(
         "main",
@@ -75,7 +77,7 @@ def client_document(
         ),
         *draw_objects(survey, album, wording.words),
         *_without_findings(survey, album),
-        _how(survey),
+        *_how(survey),
         element("footer", "Places are in degrees of WGS 84; times are UTC. Made with upwash."),
     )
     shown = len(album.photos.keys() | album.thumbnails.keys() | album.laid)
@@ -117,13 +119,15 @@ def _title(survey: Survey) -> str:
 
 
 def _facts(survey: Survey, maps: Sequence[SiteMap]) -> Markup:
-    drones = dict.fromkeys(filter(None, map(_flown_by, survey.flights)))
     facts = [("Date", _dates(survey))]
     for number, each in enumerate(maps, start=1):
         facts.append(("Site" if len(maps) == 1 else f"Site {number}", _where(survey, each)))
+    drones = dict.fromkeys(filter(None, map(_flown_by, survey.flights)))
     facts += [("Flown by", ", ".join(drones))] if drones else []
     photos = counted(len(survey.photographs), "photo")
     facts.append(("Flights", f"{counted(len(survey.flights), 'flight')}, {photos}"))
+    if 1 < len(survey.flights) <= _MOST_FLIGHTS:
+        facts += [(f"Flight {number}", _flight(each)) for number, each in enumerate(survey.flights, start=1)]
     facts.append(("Found", counted(len(survey.objects), "object") if survey.objects else "nothing"))
     return element(
         "dl",
@@ -136,6 +140,15 @@ def _days(survey: Survey) -> str:
     opened = [time for flight in survey.flights if (time := _began(flight)) is not None]
     days = list(dict.fromkeys(f"{time.day} {time:%B %Y}" for time in sorted(opened)))
     return days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}" if days else ""
+
+
+def _flight(flight: Flown) -> str:
+    began, drone = _began(flight), _flown_by(flight)
+    day = [] if began is None else [f"{began.day} {began:%B %Y}, {began:%H:%M} UTC"]
+    photos = counted(len(flight.photographs), "photo")
+    return "; ".join(
+        [*day, *([drone] if drone else []), photos, counted(len(flight.record.findings), "sighting")]
+    )
 
 
 def _dates(survey: Survey) -> str:
@@ -184,15 +197,15 @@ def _note(note: str) -> Markup:
 
 
 def _map(site: SiteMap, drawn: DrawnMap, *, number: int, of: int) -> Markup:
-    said = ["North is up."]
+    said: list[str] = ["North is up."]
     if site.objects:
         said.append("The numbers are those of the table, and a ring is the radius there.")
     if drawn.beyond:
-        said.append(f"Beyond the map: {listed(drawn.beyond)}.")
+        said.append(joined("Beyond the map: ", listed(drawn.beyond), "."))
     if drawn.unnumbered:
         objects = counted(len(drawn.unnumbered), "object")
         said.append(f"{objects} had no room for a number here; the table has all places.")
-    caption = element("figcaption", " ".join(said))
+    caption = element("figcaption", *(part for sentence in said for part in (sentence, " ")))
     heading = element("h2", "Map" if of == 1 else f"Map of site {number}")
     return element("section", heading, element("figure", drawn.svg, caption), class_="map")
 
@@ -222,9 +235,11 @@ def _without_findings(survey: Survey, album: Album) -> Iterator[Markup]:
     )
 
 
-def _how(survey: Survey) -> Markup:
+def _how(survey: Survey) -> Iterator[Markup]:
+    if not survey.objects:
+        return
     ground = "a terrain model" if survey.knows_the_ground else "taken to be level with the take-off"
-    sentences = (
+    computed = (
         "Each place was computed from the object's box on the photo, the camera's position and direction at the "
         f"shutter, its lens, and the ground ({ground}).",
         "An object on several photos has one number, and its place is the mean of its sightings, of which the surer "
@@ -232,4 +247,10 @@ def _how(survey: Survey) -> Markup:
         "The radius adds up the errors of all these; an object without a radius is shown where the drone took its "
         "photo.",
     )
-    return element("section", element("h2", "How the places were made"), element("p", " ".join(sentences)))
+    taken = (
+        "The camera's lens or direction is not known.",
+        "So each place is that of the drone when it took the photo.",
+        "How far from there the object lies is not known, and an object on several photos has several numbers.",
+    )
+    sentences = computed if any(each.found.finding.own for each in survey.objects) else taken
+    yield element("section", element("h2", "How the places were made"), element("p", " ".join(sentences)))

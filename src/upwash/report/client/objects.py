@@ -17,7 +17,7 @@ from upwash.support.text import counted, printable
 _LONGEST_LABEL = 80  # characters
 _MOST_ROWS = 2000  # objects
 _MOST_LISTED = 40  # numbers in a row
-_OF_TEXT = ("No.", "Label", "Severity", "Numbers")  # columns
+_STYLES = {"No.": "no", "Label": "words", "Severity": "words", "Numbers": "numbers"}  # of columns
 _LOOKS = ("The surest sighting", "Another sighting")
 
 
@@ -27,8 +27,8 @@ def draw_objects(survey: Survey, album: Album, words: Words) -> Iterator[Markup]
         yield _section("Objects", element("p", "Nothing was found on the photos."))
         return
     yield _section("What was found", _by_label(survey, words))
-    yield _section("Objects", _table(survey, words))
-    pictured = [each for each in survey.objects if _has_pictures(each, album)]
+    pictured = [each for each in survey.objects if album.shows(each)]
+    yield _section("Objects", _table(survey, album, words))
     if not pictured:
         yield element("p", "The photos are not part of this document.", class_="soft")
         return
@@ -39,10 +39,11 @@ def draw_objects(survey: Survey, album: Album, words: Words) -> Iterator[Markup]
     yield _section("Each object", element("p", note, class_="soft") if note else Markup(), cards)
 
 
-def listed(names: Sequence[str]) -> str:
-    """The names of the first objects, and how many more there are."""
-    shown = ", ".join(names[:_MOST_LISTED])
-    return shown if len(names) <= _MOST_LISTED else f"{shown} and {len(names) - _MOST_LISTED} more"
+def listed(names: Sequence[str]) -> Markup:
+    """The names of the first objects, and how many more there are; no line ends within a name."""
+    more = [f" and {len(names) - _MOST_LISTED} more"] if len(names) > _MOST_LISTED else []
+    shown = [element("span", name, class_="name") for name in names[:_MOST_LISTED]]
+    return joined(Markup(", ".join(shown)), *more)
 
 
 def _section(heading: str, *content: Markup) -> Markup:
@@ -71,24 +72,29 @@ def _by_label(survey: Survey, words: Words) -> Markup:
                 element("th", _worded(word.name), scope="row", class_="words"),
                 *([element("td", _worded(word.severity))] if severities else []),
                 element("td", str(labels[label]), class_="figures"),
-                element("td", listed(names), class_="words"),
+                element("td", listed(names), class_="numbers"),
             )
         )
     heads = ["Label", *(["Severity"] if severities else []), "Objects", "Numbers"]
     return _whole("Objects by label", heads, rows)
 
 
-def _table(survey: Survey, words: Words) -> Markup:
+def _table(survey: Survey, album: Album, words: Words) -> Markup:
     severity = ["Severity"] if words.severities else []
     ground = ["Ground"] if survey.knows_the_ground else []
-    rows = [_row(each, words, ground=bool(ground)) for each in survey.objects[:_MOST_ROWS]]
+    rows = [
+        _row(each, words, ground=bool(ground), linked=album.shows(each))
+        for each in survey.objects[:_MOST_ROWS]
+    ]
     figures = ["Score", "Latitude", "Longitude", "East", "North", "Radius", "Sightings", "Altitude"]
     heads = ["No.", "Label", *severity, *figures, *ground]
     said = [
-        "East and north are metres from the take-off.",
+        "East and north are metres from the flight's take-off.",
         "With a probability of 95 % the object lies within the radius around its place.",
         "Altitude is that of the camera above the take-off.",
     ]
+    if not survey.are_one_list:
+        said.append("The number before the dash is the flight's.")
     if ground:
         said.append("Ground is the altitude of the object's place above the take-off.")
     if len(survey.objects) > _MOST_ROWS:
@@ -96,7 +102,7 @@ def _table(survey: Survey, words: Words) -> Markup:
     return joined(_whole("Objects", heads, rows), element("p", " ".join(said), class_="soft"))
 
 
-def _row(each: Inspected, words: Words, *, ground: bool) -> Markup:
+def _row(each: Inspected, words: Words, *, ground: bool, linked: bool) -> Markup:
     found, finding = each.found, each.found.finding
     word = words.of(finding.what)
     latitude, longitude = (f"{degrees:.6f}°" for degrees in found.earth) if found.earth else ("", "")
@@ -115,7 +121,9 @@ def _row(each: Inspected, words: Words, *, ground: bool) -> Markup:
         figures.append(_metres(finding.own.position.altitude_m) if finding.own else "")
     return element(
         "tr",
-        element("th", element("a", each.name, href=f"#object-{each.name}"), scope="row"),
+        element(
+            "th", element("a", each.name, href=f"#object-{each.name}") if linked else each.name, scope="row"
+        ),
         element("td", _worded(word.name), class_="words"),
         *([element("td", _worded(word.severity), class_="words")] if words.severities else []),
         *(element("td", figure, class_="figures") for figure in figures),
@@ -123,9 +131,7 @@ def _row(each: Inspected, words: Words, *, ground: bool) -> Markup:
 
 
 def _whole(caption: str, heads: Sequence[str], rows: Sequence[Markup]) -> Markup:
-    head = [
-        element("th", name, scope="col", class_="words" if name in _OF_TEXT else "figures") for name in heads
-    ]
+    head = [element("th", name, scope="col", class_=_STYLES.get(name, "figures")) for name in heads]
     table = element(
         "table",
         element("caption", caption),
@@ -136,10 +142,6 @@ def _whole(caption: str, heads: Sequence[str], rows: Sequence[Markup]) -> Markup
 
 
 # --- each object --------------------------------------------------------------------------------------------
-
-
-def _has_pictures(each: Inspected, album: Album) -> bool:
-    return (each.name, 0) in album.crops or bool(each.looks and each.looks[0].photo in album.photos)
 
 
 class _Cards:

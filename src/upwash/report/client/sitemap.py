@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+from upwash.report.client.album import Album
 from upwash.report.client.labels import Label, place_labels
 from upwash.report.client.mosaic import Bounds
-from upwash.report.client.survey import Inspected, Photograph, PhotoKey, Survey
+from upwash.report.client.survey import Inspected, Photograph, Survey
 from upwash.report.client.words import Words
 from upwash.report.gallery import in_document
 from upwash.report.markup import Markup, element, joined
@@ -122,8 +123,8 @@ class SiteMap:
             whole.west_m - wide_m, whole.south_m - high_m, whole.east_m + wide_m, whole.north_m + high_m
         )
 
-    def draw(self, mosaic: bytes | None, laid: Collection[PhotoKey], words: Words) -> DrawnMap:
-        """The map over the mosaic of the photos that were laid; other photos are outlines or dots."""
+    def draw(self, mosaic: bytes | None, album: Album, words: Words) -> DrawnMap:
+        """The map over the mosaic of the photos; photos that are not laid there are outlines or dots."""
         bounds = self.bounds
         scale = min(_WIDE / bounds.width_m, (_HIGH - _FOOT) / bounds.height_m)
         width, height = scale * bounds.width_m, scale * bounds.height_m
@@ -147,7 +148,7 @@ class SiteMap:
                 "polygon", points=_points([at(*corner) for corner in self._corners_m(photo)]), class_="ground"
             )
             for photo in self._photographs
-            if photo.corners_m is not None and photo.key not in laid
+            if photo.corners_m is not None and photo.key not in album.laid
         ]
         spots = [
             element("circle", cx=at(*spot)[0], cy=at(*spot)[1], r=2.5, class_="spot")
@@ -166,7 +167,7 @@ class SiteMap:
         clip = element("clipPath", element("rect", width=width, height=height), id=f"site-{self.site.first}")
         rings = [_ring(point, words) for point in points]
         numbered = [
-            _numbered(point, label, size, wide_high, words)
+            _numbered(point, label, size, wide_high, words, linked=album.shows(point.object))
             for point, label, wide_high in zip(points, labels, sizes, strict=True)
         ]
         inside = element("g", *picture, *ground, *spots, *rings, clip_path=f"url(#site-{self.site.first})")
@@ -223,7 +224,13 @@ def _ring(point: _Point, words: Words) -> Markup:
 
 
 def _numbered(
-    point: _Point, label: Label | None, size: float, wide_high: tuple[float, float], words: Words
+    point: _Point,
+    label: Label | None,
+    size: float,
+    wide_high: tuple[float, float],
+    words: Words,
+    *,
+    linked: bool,
 ) -> tuple[Sequence[Markup], Markup]:
     """The line from the object's place to its number, and both of them."""
     word = words.of(point.object.found.finding.what)
@@ -244,6 +251,8 @@ def _numbered(
         "text", point.object.name, x=label.x, y=label.y + 0.35 * size, font_size=size, fill=ink_on(word.colour),
         text_anchor="middle",
     )  # fmt: skip
+    if not linked:
+        return line, joined(spot, box, number)
     name = f"Object {point.object.name}: {word.name}"
     return line, joined(spot, element("a", box, number, href=f"#object-{point.object.name}", aria_label=name))
 

@@ -60,10 +60,11 @@ class Inspected:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """The flights, and what was found on them."""
+    """The flights, and what was found on them: under one list of numbers, or flight by flight."""
 
     flights: Sequence[Flown]
     objects: Sequence[Inspected]
+    are_one_list: bool
 
     @property
     def photographs(self) -> list[Photograph]:
@@ -125,7 +126,7 @@ def survey_of(records: Sequence[Record]) -> Survey:
         name = str(number) if are_one_list else f"{flight + 1}-{number}"
         own = sightings[0 if are_one_list else flight, number]
         objects.append(Inspected(name, placed, _best_looks(own)))
-    return Survey([_flown(index, record) for index, record in enumerate(records)], objects)
+    return Survey([_flown(index, record) for index, record in enumerate(records)], objects, are_one_list)
 
 
 def _best_looks(sightings: Sequence[Look]) -> list[Look]:
