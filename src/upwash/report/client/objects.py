@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from upwash.report.client.album import Album
 from upwash.report.client.sitemap import ink_on
 from upwash.report.client.survey import Inspected, Look, Survey
-from upwash.report.client.words import Words
+from upwash.report.client.words import Word, Words
 from upwash.report.gallery import outlined
 from upwash.report.markup import Markup, element, joined
 from upwash.report.tables import scrolled
@@ -16,6 +15,7 @@ from upwash.support.text import counted, printable
 
 _LONGEST_LABEL = 80  # characters
 _MOST_ROWS = 2000  # objects
+_MOST_LABELS = 100  # rows
 _MOST_LISTED = 40  # numbers in a row
 _STYLES = {"No.": "no", "Label": "words", "Severity": "words", "Numbers": "numbers"}  # of columns
 _LOOKS = ("The surest sighting", "Another sighting")
@@ -54,29 +54,30 @@ def _section(heading: str, *content: Markup) -> Markup:
 
 
 def _by_label(survey: Survey, words: Words) -> Markup:
-    """How many objects of each label there are, the worst first."""
-    labels = Counter(each.found.finding.what for each in survey.objects)
-    severities = words.severities
-    rank = {severity: number for number, severity in enumerate(severities)}
-
-    def order(label: str) -> tuple[int, int]:
-        return rank.get(words.of(label).severity, len(rank)), -labels[label]
-
-    rows = []
-    for label in sorted(labels, key=order):
-        word = words.of(label)
-        names = [each.name for each in survey.objects if each.found.finding.what == label]
-        rows.append(
-            element(
-                "tr",
-                element("th", _worded(word.name), scope="row", class_="words"),
-                *([element("td", _worded(word.severity))] if severities else []),
-                element("td", str(labels[label]), class_="figures"),
-                element("td", listed(names), class_="numbers"),
-            )
+    """How many objects of each label there are, the worst first; labels that the client calls the same are one."""
+    names: dict[Word, list[str]] = {}
+    for each in survey.objects:
+        names.setdefault(words.of(each.found.finding.what), []).append(each.name)
+    rank = {severity: number for number, severity in enumerate(words.severities)}
+    ordered = sorted(names, key=lambda word: (rank.get(word.severity, len(rank)), -len(names[word])))
+    rows = [
+        element(
+            "tr",
+            element("th", _worded(word.name), scope="row", class_="words"),
+            *([element("td", _worded(word.severity))] if rank else []),
+            element("td", str(len(names[word])), class_="figures"),
+            element("td", listed(names[word]), class_="numbers"),
         )
-    heads = ["Label", *(["Severity"] if severities else []), "Objects", "Numbers"]
-    return _whole("Objects by label", heads, rows)
+        for word in ordered[:_MOST_LABELS]
+    ]
+    more = len(ordered) - len(rows)
+    note = (
+        element("p", f"{counted(more, 'label')} more: see the next table.", class_="soft")
+        if more
+        else Markup()
+    )
+    heads = ["Label", *(["Severity"] if rank else []), "Objects", "Numbers"]
+    return joined(_whole("Objects by label", heads, rows), note)
 
 
 def _table(survey: Survey, album: Album, words: Words) -> Markup:
