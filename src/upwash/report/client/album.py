@@ -55,7 +55,7 @@ class Album:
         return (each.name, 0) in self.crops or bool(each.looks and each.looks[0].photo in self.photos)
 
     def add(self, pictures: dict[Key, Crop], key: Key, picture: Crop | None) -> None:
-        """Add the picture to those of its kind, if there is one, and room for it."""
+        """Add a picture, unless it is missing or exceeds the bound on all pictures."""
         if picture is None:
             return
         if self.bytes + len(picture.jpeg) > MOST_BYTES:

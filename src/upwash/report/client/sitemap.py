@@ -29,7 +29,7 @@ _FOOT = 40.0  # below the ground, for the scale
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """Flights over the same ground; `first` is the one whose home places are counted from."""
+    """Flights over the same ground; Places are counted from the home of the flight `first`."""
 
     first: int
     flights: Sequence[int]
@@ -193,7 +193,7 @@ class SiteMap:
 
 
 def ink_on(colour: str) -> str:
-    """Black or white, whichever is read better on the colour (WCAG 2)."""
+    """Black or white: the ink with the higher contrast on the colour (WCAG 2)."""
     linear = [
         each / 12.92 if each <= 0.04045 else ((each + 0.055) / 1.055) ** 2.4 for each in components(colour)
     ]

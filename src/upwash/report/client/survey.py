@@ -91,7 +91,7 @@ class Survey:
 
     @property
     def with_findings(self) -> set[PhotoKey]:
-        """The photos on which something was found."""
+        """The photos with findings."""
         return {
             (index, finding.photo.number)
             for index, flight in enumerate(self.flights)
