@@ -40,13 +40,14 @@ _FINE, _MEDIUM, _COARSE = Size(1000, 2.5), Size(720, 2.0), Size(480, 1.5)
 class Album:
     """The pictures that there are: photos and thumbnails by photo, crops by object and look.
 
-    `laid` are the photos of the mosaics; `full` says that some pictures are left out to stay within the bound.
+    `laid` are the photos of the mosaics, `missing` those that were not kept or cannot be read; `full` says that some pictures are left out to stay within the bound.
     """
 
     photos: dict[PhotoKey, Crop] = field(default_factory=dict)
     thumbnails: dict[PhotoKey, Crop] = field(default_factory=dict)
     crops: dict[tuple[str, int], Crop] = field(default_factory=dict)
     laid: set[PhotoKey] = field(default_factory=set)
+    missing: set[PhotoKey] = field(default_factory=set)
     bytes: int = 0
     full: bool = False
 
@@ -97,6 +98,7 @@ def album_of(
             pixels = None if jpeg is None else pixels_of(jpeg)
             done()
             if pixels is None:
+                album.missing.add(key)
                 continue
             if key in laid:
                 first, mosaic = mosaics[key[0]]

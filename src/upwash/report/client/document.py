@@ -72,7 +72,7 @@ def client_document(
         _facts(survey, maps),
         _note(wording.note),
         *(
-            _map(each, svg, number=number, of=len(maps))
+            _map(each, svg, album, number=number, of=len(maps))
             for number, (each, svg) in enumerate(zip(maps, drawn, strict=True), start=1)
         ),
         *draw_objects(survey, album, wording.words),
@@ -196,10 +196,14 @@ def _note(note: str) -> Markup:
 # --- the map ------------------------------------------------------------------------------------------------
 
 
-def _map(site: SiteMap, drawn: DrawnMap, *, number: int, of: int) -> Markup:
+def _map(site: SiteMap, drawn: DrawnMap, album: Album, *, number: int, of: int) -> Markup:
     said: list[str] = ["North is up."]
     if site.objects:
         said.append("The numbers are those of the table, and a ring is the radius there.")
+    placed = [photo.key for photo in site.photographs if photo.corners_m is not None]
+    laid = len(album.laid.intersection(placed))
+    if 0 < laid < len(placed):
+        said.append(f"{laid} of {counted(len(placed), 'photo')} are laid over the ground.")
     if drawn.beyond:
         said.append(joined("Beyond the map: ", listed(drawn.beyond), "."))
     if drawn.unnumbered:

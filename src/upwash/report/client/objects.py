@@ -18,7 +18,6 @@ _MOST_ROWS = 2000  # objects
 _MOST_LABELS = 100  # rows
 _MOST_LISTED = 40  # numbers in a row
 _STYLES = {"No.": "no", "Label": "words", "Severity": "words", "Numbers": "numbers"}  # of columns
-_LOOKS = ("The surest sighting", "Another sighting")
 
 
 def draw_objects(survey: Survey, album: Album, words: Words) -> Iterator[Markup]:
@@ -158,10 +157,7 @@ class _Cards:
         """An object: its surest sighting, the best other one beside it, and the whole photo."""
         word = self._words.of(each.found.finding.what)
         severity = [element("span", _worded(word.severity), class_="severity")] if word.severity else []
-        figures = [
-            self._crop(each, index, look, said)
-            for index, (look, said) in enumerate(zip(each.looks, _LOOKS, strict=False))
-        ]
+        figures = [self._crop(each, index, look) for index, look in enumerate(each.looks)]
         return element(
             "article",
             element(
@@ -174,13 +170,13 @@ class _Cards:
             id=f"object-{each.name}",
         )
 
-    def _crop(self, each: Inspected, index: int, look: Look, said: str) -> Markup:
+    def _crop(self, each: Inspected, index: int, look: Look) -> Markup:
         crop, box = self._album.crops.get((each.name, index)), look.finding.box
         if crop is None or box is None:
             return Markup()
         score = f", {_percent(look.finding.score)}" if look.finding.score is not None else ""
         drawn = outlined(box, crop, f"crop-{each.name}-{index}")
-        return _figure(drawn, f"{said}: {self._survey.taken(look.photo)}{score}")
+        return _figure(drawn, f"{look.title}: {self._survey.taken(look.photo)}{score}")
 
     def _photo(self, look: Look) -> Iterator[Markup]:
         photo, box = self._album.photos.get(look.photo), look.finding.box

@@ -74,7 +74,7 @@ class SiteMap:
         self._survey = survey
         self.site = site
         photographs = [photo for flight in site.flights for photo in survey.flights[flight].photographs]
-        self._photographs = photographs
+        self.photographs = photographs
         self.objects = [each for each in survey.objects if each.found.best[0] in site.flights]
         self.photographed = _around([*self._usual_corners()])
         self.bounds = self._all_around()
@@ -83,7 +83,7 @@ class SiteMap:
         return self._survey.corners_m(photo, self.site.first)
 
     def _usual_corners(self) -> list[tuple[float, float]]:
-        corners = [self._corners_m(photo) for photo in self._photographs if photo.corners_m is not None]
+        corners = [self._corners_m(photo) for photo in self.photographs if photo.corners_m is not None]
         if not corners:
             return []
         usual_m = statistics.median(math.dist(each[0], each[2]) for each in corners)
@@ -103,7 +103,7 @@ class SiteMap:
 
     def _all_around(self) -> Bounds:
         """The photographed ground, and the objects near it."""
-        spots = [spot for photo in self._photographs if (spot := self._taken_at_m(photo)) is not None]
+        spots = [spot for photo in self.photographs if (spot := self._taken_at_m(photo)) is not None]
         ground = _around([*self._usual_corners(), *spots])
         near = [self._place_m(each) for each in self.objects]
         if ground is not None:
@@ -124,7 +124,7 @@ class SiteMap:
         )
 
     def draw(self, mosaic: bytes | None, album: Album, words: Words) -> DrawnMap:
-        """The map over the mosaic of the photos; photos that are not laid there are outlines or dots."""
+        """The map over the mosaic of the photos; missing photos are outlines, and photos without corners dots."""
         bounds = self.bounds
         scale = min(_WIDE / bounds.width_m, (_HIGH - _FOOT) / bounds.height_m)
         width, height = scale * bounds.width_m, scale * bounds.height_m
@@ -147,12 +147,12 @@ class SiteMap:
             element(
                 "polygon", points=_points([at(*corner) for corner in self._corners_m(photo)]), class_="ground"
             )
-            for photo in self._photographs
-            if photo.corners_m is not None and photo.key not in album.laid
+            for photo in self.photographs
+            if photo.corners_m is not None and photo.key in album.missing
         ]
         spots = [
             element("circle", cx=at(*spot)[0], cy=at(*spot)[1], r=2.5, class_="spot")
-            for photo in self._photographs
+            for photo in self.photographs
             if photo.corners_m is None and (spot := self._taken_at_m(photo)) is not None
         ]
         picture = (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import TypeAlias
 
@@ -43,10 +43,11 @@ class Flown:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """A sighting of an object, and the photo that it is on."""
+    """A sighting of an object, the photo that it is on, and what the document calls it."""
 
     finding: Finding
     photo: PhotoKey
+    title: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +134,8 @@ def _best_looks(sightings: Sequence[Look]) -> list[Look]:
     """The surest sighting, and the surest on another photo."""
     surest = sorted(sightings, key=lambda look: look.finding.score or 0.0, reverse=True)
     others = [look for look in surest if look.photo != surest[0].photo]
-    return [*surest[:1], *others[:1]]
+    first = [replace(look, title="The surest sighting") for look in surest[:1]]
+    return [*first, *(replace(look, title="Another sighting") for look in others[:1])]
 
 
 def _flown(index: int, record: Record) -> Flown:
