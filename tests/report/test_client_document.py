@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
@@ -175,6 +176,15 @@ def test_any_log_makes_a_document(tmp_path: Path, seed: int) -> None:
     log = tmp_path / "f.jsonl"
     log.write_bytes(hostile_log(seed))
     assert heads(parsed(made(log)))
+
+
+def test_without_opencv_there_are_no_pictures(
+    tmp_path: Path, photos: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = flight(tmp_path / "f.jsonl", [box()], [])
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    assert made(log, photos=photos).shown == 0
+    assert main(["report", str(log), "-o", str(tmp_path / "page.html"), "--photos", str(photos)]) == 0
 
 
 def test_of_no_findings_the_document_says_so(tmp_path: Path, photos: Path) -> None:

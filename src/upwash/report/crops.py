@@ -46,13 +46,11 @@ def cut_out(finding: Finding, shelf: PhotoShelf) -> Crop | None:
 
 def pixels_of(jpeg: bytes) -> MatLike | None:
     """The photo's pixels, None where it cannot be decoded, or nothing here can."""
-    try:
-        from upwash.services.photo import NotAPhoto, decode_photo
-    except ImportError:  # the extra "detector" is not installed
-        return None
+    from upwash.services.photo import NotAPhoto, decode_photo
+
     try:
         return decode_photo(jpeg)
-    except NotAPhoto:
+    except (ImportError, NotAPhoto):  # the extra "detector" may not be installed
         return None
 
 

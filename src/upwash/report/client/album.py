@@ -40,7 +40,8 @@ _FINE, _MEDIUM, _COARSE = Size(1000, 2.5), Size(720, 2.0), Size(480, 1.5)
 class Album:
     """The pictures that there are: photos and thumbnails by photo, crops by object and look.
 
-    `laid` are the photos of the mosaics, `missing` those that were not kept or cannot be read; `full` says that some pictures are left out to stay within the bound.
+    `laid` are the photos of the mosaics; `missing` photos were not kept, or cannot be read. `full` says that the
+    bound leaves some pictures out.
     """
 
     photos: dict[PhotoKey, Crop] = field(default_factory=dict)

@@ -145,7 +145,9 @@ class SiteMap:
         labels = place_labels([(point.x, point.y) for point in points], sizes, (width, height))
         ground = [
             element(
-                "polygon", points=_points([at(*corner) for corner in self._corners_m(photo)]), class_="ground"
+                "polygon",
+                points=_points([at(*corner) for corner in self._corners_m(photo)]),
+                class_="ground" if mosaic else "ground bare",
             )
             for photo in self.photographs
             if photo.corners_m is not None and photo.key in album.missing
