@@ -127,7 +127,7 @@ def _numbered(flights: Sequence[FlightFindings]) -> Numbered:
     for number, (keys, place) in enumerate(groups, start=1):
         for flight, index in keys:
             numbers[flight][index] = number
-        best = max(keys, key=lambda key: _sureness(flights[key[0]].found[key[1]]))
+        best = max(keys, key=lambda key: sureness(flights[key[0]].found[key[1]]))
         finding = flights[best[0]].found[best[1]]
         if place is not None:
             east_m, north_m = offset_m(flights, best[0])
@@ -179,7 +179,8 @@ def offset_m(flights: Sequence[FlightFindings], flight: int) -> Shift:
     return position.east_m, position.north_m
 
 
-def _sureness(finding: Finding) -> tuple[float, float]:
+def sureness(finding: Finding) -> tuple[float, float]:
+    """What orders the sightings of an object: the score, and then the error."""
     return finding.score or 0.0, -(finding.error_m or 0.0)
 
 

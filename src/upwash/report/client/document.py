@@ -6,7 +6,7 @@ import base64
 import functools
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime
 from importlib.resources import files
 
@@ -35,7 +35,7 @@ class Wording:
 
     title: str = ""
     note: str = ""
-    words: Words = field(default_factory=lambda: NO_WORDS)
+    words: Words = NO_WORDS
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +207,7 @@ def _map(site: SiteMap, drawn: DrawnMap, album: Album, *, number: int, of: int) 
     if drawn.beyond:
         said.append(joined("Beyond the map: ", listed(drawn.beyond), "."))
     if drawn.unnumbered:
-        objects = counted(len(drawn.unnumbered), "object")
+        objects = counted(drawn.unnumbered, "object")
         said.append(f"{objects} had no room for a number here; the table has all places.")
     caption = element("figcaption", *(part for sentence in said for part in (sentence, " ")))
     heading = element("h2", "Map" if of == 1 else f"Map of site {number}")

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from upwash.core.geo import Position
 from upwash.report.client.album import Album
 from upwash.report.client.labels import Label, place_labels
 from upwash.report.client.mosaic import Bounds
@@ -47,11 +48,11 @@ class _Point:
 
 @dataclass(frozen=True, slots=True)
 class DrawnMap:
-    """A map, and the names of the objects that it does not show, and of those without room for their numbers."""
+    """A map, the names of the objects beyond it, and how many objects on it have no room for their numbers."""
 
     svg: Markup
     beyond: Sequence[str]
-    unnumbered: Sequence[str]
+    unnumbered: int
 
 
 def sites_of(survey: Survey) -> list[Site]:
@@ -67,17 +68,40 @@ def sites_of(survey: Survey) -> list[Site]:
     return [Site(first, flights) for first, flights in sites]
 
 
+@dataclass(frozen=True, slots=True)
+class _Sheet:
+    """Where places are on the map, in its units."""
+
+    bounds: Bounds
+
+    @property
+    def scale(self) -> float:
+        """Units of a metre."""
+        return min(_WIDE / self.bounds.width_m, (_HIGH - _FOOT) / self.bounds.height_m)
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height."""
+        return self.scale * self.bounds.width_m, self.scale * self.bounds.height_m
+
+    def at(self, place_m: tuple[float, float]) -> tuple[float, float]:
+        """The place, to the right and down."""
+        east_m, north_m = place_m
+        return self.scale * (east_m - self.bounds.west_m), self.scale * (self.bounds.north_m - north_m)
+
+
 class SiteMap:
-    """A site on a plane in metres."""
+    """A site on a plane in metres; `photographed` is the ground on the photos, None if unknown."""
 
     def __init__(self, survey: Survey, site: Site) -> None:
         self._survey = survey
         self.site = site
-        photographs = [photo for flight in site.flights for photo in survey.flights[flight].photographs]
-        self.photographs = photographs
+        self.photographs = [photo for flight in site.flights for photo in survey.flights[flight].photographs]
         self.objects = [each for each in survey.objects if each.found.best[0] in site.flights]
-        self.photographed = _around([*self._usual_corners()])
-        self.bounds = self._all_around()
+        corners = self._usual_corners()
+        self.photographed = _around(corners)
+        spots = [spot for photo in self.photographs if (spot := self._taken_at_m(photo)) is not None]
+        self.bounds = _bounds(_around([*corners, *spots]), [self._place_m(each) for each in self.objects])
 
     def _corners_m(self, photo: Photograph) -> list[tuple[float, float]]:
         return self._survey.corners_m(photo, self.site.first)
@@ -92,106 +116,96 @@ class SiteMap:
         ]
 
     def _place_m(self, each: Inspected) -> tuple[float, float]:
-        east_m, north_m = self._survey.offset_m(each.found.best[0], self.site.first)
-        place = each.found.finding.place
-        return place.east_m + east_m, place.north_m + north_m
+        return self._from_home(each.found.best[0], each.found.finding.place)
 
     def _taken_at_m(self, photo: Photograph) -> tuple[float, float] | None:
-        east_m, north_m = self._survey.offset_m(photo.key[0], self.site.first)
         place = photo.taken.shot.position
-        return None if place is None else (place.east_m + east_m, place.north_m + north_m)
+        return None if place is None else self._from_home(photo.key[0], place)
 
-    def _all_around(self) -> Bounds:
-        """The photographed ground, and the objects near it."""
-        spots = [spot for photo in self.photographs if (spot := self._taken_at_m(photo)) is not None]
-        ground = _around([*self._usual_corners(), *spots])
-        near = [self._place_m(each) for each in self.objects]
-        if ground is not None:
-            beyond_m = _FAR * max(ground.width_m, ground.height_m, _LEAST_M)
-            near = [
-                (east, north)
-                for east, north in near
-                if ground.west_m - beyond_m <= east <= ground.east_m + beyond_m
-                and ground.south_m - beyond_m <= north <= ground.north_m + beyond_m
-            ]
-            near += [(ground.west_m, ground.south_m), (ground.east_m, ground.north_m)]
-        whole = _around(near) or Bounds(0.0, 0.0, 0.0, 0.0)
-        margin_m = _MARGIN * max(whole.width_m, whole.height_m, _LEAST_M)
-        wide_m = max(0.0, _LEAST_M - whole.width_m) / 2 + margin_m
-        high_m = max(0.0, _LEAST_M - whole.height_m) / 2 + margin_m
-        return Bounds(
-            whole.west_m - wide_m, whole.south_m - high_m, whole.east_m + wide_m, whole.north_m + high_m
-        )
+    def _from_home(self, flight: int, place: Position) -> tuple[float, float]:
+        east_m, north_m = self._survey.offset_m(flight, self.site.first)
+        return place.east_m + east_m, place.north_m + north_m
 
     def draw(self, mosaic: bytes | None, album: Album, words: Words) -> DrawnMap:
         """The map over the mosaic of the photos; missing photos are outlines, and photos without corners dots."""
-        bounds = self.bounds
-        scale = min(_WIDE / bounds.width_m, (_HIGH - _FOOT) / bounds.height_m)
-        width, height = scale * bounds.width_m, scale * bounds.height_m
-
-        def at(east_m: float, north_m: float) -> tuple[float, float]:
-            return scale * (east_m - bounds.west_m), scale * (bounds.north_m - north_m)
-
-        points, beyond = [], []
-        for each in self.objects:
-            x, y = at(*self._place_m(each))
-            error_m = each.found.finding.error_m
-            if 0 <= x <= width and 0 <= y <= height:
-                points.append(_Point(x, y, None if error_m is None else scale * error_m, each))
-            else:
-                beyond.append(each.name)
+        sheet = _Sheet(self.bounds)
+        width, height = sheet.size
+        points, beyond = self._points(sheet)
         size = _LARGE if len(points) <= _MANY else _SMALL
         sizes = [(0.62 * size * len(point.object.name) + 0.7 * size, 1.25 * size) for point in points]
-        labels = place_labels([(point.x, point.y) for point in points], sizes, (width, height))
-        ground = [
-            element(
-                "polygon",
-                points=_points([at(*corner) for corner in self._corners_m(photo)]),
-                class_="ground" if mosaic else "ground bare",
-            )
-            for photo in self.photographs
-            if photo.corners_m is not None and photo.key in album.missing
-        ]
-        spots = [
-            element("circle", cx=at(*spot)[0], cy=at(*spot)[1], r=2.5, class_="spot")
-            for photo in self.photographs
-            if photo.corners_m is None and (spot := self._taken_at_m(photo)) is not None
-        ]
-        picture = (
-            []
-            if mosaic is None
-            else [
-                element(
-                    "image", href=in_document(mosaic), width=width, height=height, preserveAspectRatio="none"
-                )
-            ]
-        )
-        clip = element("clipPath", element("rect", width=width, height=height), id=f"site-{self.site.first}")
-        rings = [_ring(point, words) for point in points]
+        labels = place_labels([(point.x, point.y) for point in points], sizes, sheet.size)
         numbered = [
             _numbered(point, label, size, wide_high, words, linked=album.shows(point.object))
             for point, label, wide_high in zip(points, labels, sizes, strict=True)
         ]
-        inside = element("g", *picture, *ground, *spots, *rings, clip_path=f"url(#site-{self.site.first})")
-        return DrawnMap(
+        frame = f"site-{self.site.first}"
+        svg = element(
+            "svg",
+            element("clipPath", element("rect", width=width, height=height), id=frame),
             element(
-                "svg",
-                element("defs", clip),
-                inside,
-                element("rect", width=width, height=height, class_="frame"),
-                *(part for line, _ in numbered for part in line),
-                *(mark for _, mark in numbered),
-                _scale(scale, height),
-                _north(width, height),
-                xmlns="http://www.w3.org/2000/svg",
-                viewBox=f"-1 -1 {width + 2:.1f} {height + _FOOT + 2:.1f}",
-                width=f"{100 * width / _WIDE:.4g}%",
-                role="group",
-                aria_label=f"Map of {len(points)} numbered objects; the table of objects has their places",
+                "g",
+                *self._ground(sheet, mosaic, album),
+                *(_ring(point, words) for point in points),
+                clip_path=f"url(#{frame})",
             ),
-            beyond,
-            [point.object.name for point, label in zip(points, labels, strict=True) if label is None],
+            element("rect", width=width, height=height, class_="frame"),
+            *(line for lines, _ in numbered for line in lines),
+            *(mark for _, mark in numbered),
+            _scale(sheet.scale, height),
+            _north(width, height),
+            xmlns="http://www.w3.org/2000/svg",
+            viewBox=f"-1 -1 {width + 2:.1f} {height + _FOOT + 2:.1f}",
+            width=f"{100 * width / _WIDE:.4g}%",
+            role="group",
+            aria_label=f"Map of {len(points)} numbered objects; the table of objects has their places",
         )
+        return DrawnMap(svg, beyond, sum(label is None for label in labels))
+
+    def _points(self, sheet: _Sheet) -> tuple[list[_Point], list[str]]:
+        """The objects on the map, and the names of those beyond it."""
+        points, beyond = [], []
+        for each in self.objects:
+            x, y = sheet.at(self._place_m(each))
+            error_m = each.found.finding.error_m
+            if 0 <= x <= sheet.size[0] and 0 <= y <= sheet.size[1]:
+                points.append(_Point(x, y, None if error_m is None else sheet.scale * error_m, each))
+            else:
+                beyond.append(each.name)
+        return points, beyond
+
+    def _ground(self, sheet: _Sheet, mosaic: bytes | None, album: Album) -> Iterator[Markup]:
+        width, height = sheet.size
+        if mosaic is not None:
+            size = {"width": width, "height": height}
+            yield element("image", href=in_document(mosaic), **size, preserveAspectRatio="none")
+        for photo in self.photographs:
+            if photo.corners_m is not None and photo.key in album.missing:
+                corners = " ".join("{:.1f},{:.1f}".format(*sheet.at(each)) for each in self._corners_m(photo))
+                yield element("polygon", points=corners, class_="ground" if mosaic else "ground bare")
+            elif photo.corners_m is None and (spot := self._taken_at_m(photo)) is not None:
+                x, y = sheet.at(spot)
+                yield element("circle", cx=x, cy=y, r=2.5, class_="spot")
+
+
+def _bounds(ground: Bounds | None, objects: Sequence[tuple[float, float]]) -> Bounds:
+    """The ground, and the objects near it, with a margin."""
+    near = list(objects)
+    if ground is not None:
+        beyond_m = _FAR * max(ground.width_m, ground.height_m, _LEAST_M)
+        near = [
+            (east_m, north_m)
+            for east_m, north_m in objects
+            if ground.west_m - beyond_m <= east_m <= ground.east_m + beyond_m
+            and ground.south_m - beyond_m <= north_m <= ground.north_m + beyond_m
+        ]
+        near += [(ground.west_m, ground.south_m), (ground.east_m, ground.north_m)]
+    whole = _around(near) or Bounds(0.0, 0.0, 0.0, 0.0)
+    margin_m = _MARGIN * max(whole.width_m, whole.height_m, _LEAST_M)
+    wide_m = max(0.0, _LEAST_M - whole.width_m) / 2 + margin_m
+    high_m = max(0.0, _LEAST_M - whole.height_m) / 2 + margin_m
+    return Bounds(
+        whole.west_m - wide_m, whole.south_m - high_m, whole.east_m + wide_m, whole.north_m + high_m
+    )
 
 
 def ink_on(colour: str) -> str:
@@ -208,10 +222,6 @@ def _around(places: Sequence[tuple[float, float]]) -> Bounds | None:
         return None
     east, north = zip(*places, strict=True)
     return Bounds(min(east), min(north), max(east), max(north))
-
-
-def _points(places: Sequence[tuple[float, float]]) -> str:
-    return " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
 
 
 def _ring(point: _Point, words: Words) -> Markup:

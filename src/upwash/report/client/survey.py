@@ -12,7 +12,7 @@ from upwash.core.camera.georeference import Ground
 from upwash.eventlog import schema
 from upwash.eventlog.progress import clock
 from upwash.report.findings import Finding, Pairing, TakenPhoto
-from upwash.report.numbering import PlacedFinding, are_a_fleet, numbered, offset_m
+from upwash.report.numbering import PlacedFinding, are_a_fleet, numbered, offset_m, sureness
 from upwash.report.record import Record
 
 PhotoKey: TypeAlias = tuple[int, int]  # the flight, and the photo's number there
@@ -132,7 +132,7 @@ def survey_of(records: Sequence[Record]) -> Survey:
 
 def _best_looks(sightings: Sequence[Look]) -> list[Look]:
     """The surest sighting, and the surest on another photo."""
-    surest = sorted(sightings, key=lambda look: look.finding.score or 0.0, reverse=True)
+    surest = sorted(sightings, key=lambda look: sureness(look.finding), reverse=True)
     others = [look for look in surest if look.photo != surest[0].photo]
     first = [replace(look, title="The surest sighting") for look in surest[:1]]
     return [*first, *(replace(look, title="Another sighting") for look in others[:1])]
