@@ -178,6 +178,16 @@ def test_any_log_makes_a_document(tmp_path: Path, seed: int) -> None:
     assert heads(parsed(made(log)))
 
 
+def test_where_the_best_photo_is_missing_another_sighting_is_shown(tmp_path: Path, photos: Path) -> None:
+    (photos / "1.jpg").unlink()
+    log = flight(tmp_path / "f.jsonl", [box(305, 230)], [box(93, 230, score=0.9)])
+    page = parsed(made(log, photos=photos))
+    (card,) = of_class(page, "object")
+    assert [text(each).partition(":")[0] for each in card.iter("figcaption")] == ["Another sighting"]
+    assert len(of_class(page, "ground")) == 1
+    assert "1 of 2 photos are laid over the ground" in said(page)
+
+
 def test_without_opencv_there_are_no_pictures(
     tmp_path: Path, photos: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

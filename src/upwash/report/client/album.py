@@ -54,7 +54,8 @@ class Album:
 
     def shows(self, each: Inspected) -> bool:
         """Whether there is a picture of the object."""
-        return (each.name, 0) in self.crops or bool(each.looks and each.looks[0].photo in self.photos)
+        crops = any((each.name, index) in self.crops for index in range(len(each.looks)))
+        return crops or bool(each.looks and each.looks[0].photo in self.photos)
 
     def add(self, pictures: dict[Key, Crop], key: Key, picture: Crop | None) -> None:
         """Add a picture, unless it is missing or exceeds the bound on all pictures."""
