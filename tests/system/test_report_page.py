@@ -86,6 +86,24 @@ def test_everybody_can_read_it(page: Browser, few: str, many: str, scheme: str, 
         assert page.run("return document.documentElement.scrollWidth <= window.innerWidth")
 
 
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1400, 390])
+def test_everybody_can_read_the_clients_document(page: Browser, ill: Path, scheme: str, width: int) -> None:
+    file = ill.with_name("client.html")
+    assert main(["report", str(ill), "--client", "-o", str(file)]) == 0
+    page.open(file.as_uri(), width=width, height=844, scheme=scheme)
+    assert page.violations() == []
+    assert page.errors() == []
+    assert page.run("return document.documentElement.scrollWidth <= window.innerWidth")
+    assert page.each(".looks svg", "each.getBoundingClientRect().width > 100") == [True, True]
+    page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    try:
+        assert page.run("return getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+        assert set(page.each(".object, tr", "getComputedStyle(each).breakInside")) == {"avoid"}
+    finally:
+        page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+
+
 def test_the_pictures_are_shown_under_the_pages_own_policy(page: Browser, few: str) -> None:
     page.open(few)
     loads = "const image = new Image(); image.src = document.querySelector('.gallery image').getAttribute('href');"

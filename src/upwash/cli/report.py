@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from upwash.cli.arguments import option
+from upwash.cli.client_document import CLIENT, client_document_of
 from upwash.cli.other_policies import OTHERS_FLY, others_flown
 from upwash.errors import UsageError
 from upwash.report.exports import write_csv, write_geojson, write_json
@@ -35,30 +36,30 @@ ARGUMENTS = {
     "--mcap FILE": "a recording that Foxglove opens",
     "--bag DIR": "a ROS 2 bag, a new folder",
     "--scenario FILE": OTHERS_FLY,
-    "--photos DIR": "with -o, --mcap, --bag or --findings: the folder of the photos that the logs name",
+    "--photos DIR": option(
+        "with -o, --mcap, --bag or --findings: the folder of the photos that the logs name; with --client one for "
+        "all logs, or one for each, in their order",
+        action="append",
+        default=[],
+    ),
+    **CLIENT,
     "--json": "print the results as one JSON array",
 }
 
 
 def run(options: argparse.Namespace) -> None:
     """Make the wanted files."""
+    for_client = client_document_of(options)
+    folder = options.photos[0] if options.photos else None
     files: list[tuple[Path | None, Writer]] = [
-        (options.out, functools.partial(_page, options=options)),
+        (options.out, for_client or functools.partial(_page, options=options)),
         (options.csv, _in_utf8(write_csv)),
         (options.geojson, _in_utf8(write_geojson)),
-        (options.findings, functools.partial(_findings, file=options.findings, photos=options.photos)),
-        (options.mcap, functools.partial(_recording, photos=options.photos)),
+        (options.findings, functools.partial(_findings, file=options.findings, photos=folder)),
+        (options.mcap, functools.partial(_recording, photos=folder)),
         (_PRINTED if options.json else None, _in_utf8(lambda records: write_json(records) + "\n")),
     ]
-    if options.photos and not (options.mcap or options.out or options.findings or options.bag):
-        raise UsageError("--photos goes with -o, --mcap, --bag or --findings: nothing else has photos in it")
-    if options.findings and _suffix(options.findings) not in FORMATS:
-        endings = ", ".join(f".{name}" for name in FORMATS)
-        raise UsageError(
-            f"{options.findings} does not say which format the findings must have: end it in one of {endings}"
-        )
-    if options.scenario and not options.out:
-        raise UsageError("--scenario goes with -o: only the page says what other policies would have done")
+    _check(options)
     wanted = [(file, write) for file, write in files if file is not None]
     if not wanted and not options.bag:
         raise UsageError(
@@ -84,13 +85,34 @@ def run(options: argparse.Namespace) -> None:
             print(f"written: {file}", file=sys.stderr)
     if options.bag:
         with work("writing the bag"):
-            write_bag(records, options.bag, photos=options.photos)
+            write_bag(records, options.bag, photos=folder)
         print(f"written: {options.bag}", file=sys.stderr)
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Raises UsageError for options that do not go together."""
+    if options.photos and not (options.mcap or options.out or options.findings or options.bag):
+        raise UsageError("--photos goes with -o, --mcap, --bag or --findings: nothing else has photos in it")
+    if len(options.photos) > 1 and (not options.client or options.mcap or options.bag or options.findings):
+        raise UsageError(
+            "several --photos go with --client alone: name one folder, or make the other files by themselves"
+        )
+    if options.findings and _suffix(options.findings) not in FORMATS:
+        endings = ", ".join(f".{name}" for name in FORMATS)
+        raise UsageError(
+            f"{options.findings} does not say which format the findings must have: end it in one of {endings}"
+        )
+    if options.scenario and (not options.out or options.client):
+        raise UsageError(
+            "--scenario goes with -o, without --client: only the flight page says what other policies would have done"
+        )
 
 
 def _page(records: Sequence[Record], *, options: argparse.Namespace) -> Iterable[bytes]:
     flown = others_flown(options.logs, options.scenario)
-    return write_page(options.logs, records, photos=options.photos, flown=flown)
+    return write_page(
+        options.logs, records, photos=options.photos[0] if options.photos else None, flown=flown
+    )
 
 
 def _in_utf8(write: Callable[[Sequence[Record]], str]) -> Writer:

@@ -46,13 +46,11 @@ def cut_out(finding: Finding, shelf: PhotoShelf) -> Crop | None:
 
 def pixels_of(jpeg: bytes) -> MatLike | None:
     """The photo's pixels, None where it cannot be decoded, or nothing here can."""
-    try:
-        from upwash.services.photo import NotAPhoto, decode_photo
-    except ImportError:  # the extra "detector" is not installed
-        return None
+    from upwash.services.photo import NotAPhoto, decode_photo
+
     try:
         return decode_photo(jpeg)
-    except NotAPhoto:
+    except (ImportError, NotAPhoto):  # the extra "detector" may not be installed
         return None
 
 
@@ -62,11 +60,14 @@ def shrunk(jpeg: bytes, width_px: int) -> tuple[bytes, int, int] | None:
     if pixels is None:
         return None
     height, width = pixels.shape[:2]
-    return _smaller(pixels, min(1.0, width_px / width)), width, height
+    return smaller(pixels, min(1.0, width_px / width)), width, height
 
 
-def crop_around(box: Outline, pixels: MatLike) -> Crop | None:
-    """The part of the photo around the box, None where the box lies beside the photo or is larger."""
+def crop_around(box: Outline, pixels: MatLike, *, enlarged: float = 1.0) -> Crop | None:
+    """The part of the photo around the box, None where the box lies beside the photo or is larger.
+
+    The JPEG is at most `enlarged` times as wide and high as that of a page with many.
+    """
     photo_height, photo_width = pixels.shape[:2]
     across, down = box.left_px + box.width_px / 2, box.top_px + box.height_px / 2
     is_across = abs(across - photo_width / 2) <= (photo_width + box.width_px) / 2
@@ -79,11 +80,12 @@ def crop_around(box: Outline, pixels: MatLike) -> Crop | None:
     left = round(min(max(0.0, across - width / 2), photo_width - width))
     top = round(min(max(0.0, down - height / 2), photo_height - height))
     part = pixels[top : top + height, left : left + width]
-    jpeg = _smaller(part, min(1.0, WIDTH_PX / width, HEIGHT_PX / height))
+    jpeg = smaller(part, min(1.0, enlarged * WIDTH_PX / width, enlarged * HEIGHT_PX / height))
     return Crop(jpeg, left, top, width, height)
 
 
-def _smaller(pixels: MatLike, scale: float) -> bytes:
+def smaller(pixels: MatLike, scale: float) -> bytes:
+    """A JPEG of the pixels at that scale."""
     import cv2
 
     height, width = pixels.shape[:2]

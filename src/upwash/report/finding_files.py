@@ -75,7 +75,6 @@ def as_kml(findings: Sequence[PlacedFinding], pictures: Pictures | None = None) 
 def as_zip(findings: Sequence[PlacedFinding], shelf: PhotoShelf) -> bytes:
     """All three, and a picture of each finding that has one, of the first 1,000 at most."""
     pictures, file = dict[int, str](), io.BytesIO()
-    lists = list(dict.fromkeys(finding.flight.log for finding in findings))
     are_one_list = len({finding.number for finding in findings}) == len(findings)
     with zipfile.ZipFile(file, "w") as archive:
 
@@ -86,7 +85,7 @@ def as_zip(findings: Sequence[PlacedFinding], shelf: PhotoShelf) -> bytes:
 
         for index, finding in enumerate(findings):
             if len(pictures) < _MOST_CROPS and (jpeg := crop_of(finding.finding, shelf)) is not None:
-                prefix = "" if are_one_list else f"{lists.index(finding.flight.log) + 1}-"
+                prefix = "" if are_one_list else f"{finding.best[0] + 1}-"
                 pictures[index] = f"pictures/{prefix}{finding.number}.jpg"
                 add(pictures[index], jpeg, zipfile.ZIP_STORED)
         for name, write in _TEXTS.items():

@@ -22,6 +22,11 @@ _WITHOUT = (
 _LONGEST_LABEL = 60  # characters
 
 
+def in_document(jpeg: bytes) -> str:
+    """The address of a picture that is in the document itself."""
+    return f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}"
+
+
 def draw_findings(
     found: Sequence[PlacedFinding], shelf: PhotoShelf, *, most: int, whose: bool = False
 ) -> Markup:
@@ -32,12 +37,9 @@ def draw_findings(
         if each.finding.box is not None and len(pictures) < most:
             crop = cut_out(each.finding, shelf)
             lacking |= crop is None
-            outlined = (
-                None
-                if crop is None
-                else _outlined(each.finding.box, crop, f"crop-{each.best[0]}-{each.best[1]}")
-            )
-            pictures += [] if outlined is None else [_picture(each, outlined, whose=whose)]
+            if crop is not None:
+                drawn = outlined(each.finding.box, crop, f"crop-{each.best[0]}-{each.best[1]}")
+                pictures.append(_picture(each, drawn, whose=whose))
     notes = []
     if len(pictures) >= most:
         notes.append(_note(f"No more than {most} pictures are shown; the table has every finding."))
@@ -54,7 +56,7 @@ def _note(text: str) -> Markup:
     return element("p", text, class_="note")
 
 
-def _picture(found: PlacedFinding, outlined: Markup, *, whose: bool) -> Markup:
+def _picture(found: PlacedFinding, drawn: Markup, *, whose: bool) -> Markup:
     finding = found.finding
     flight = f"{found.flight.log}, " if whose else ""
     where = "" if finding.waypoint is None else f"waypoint {finding.waypoint}, "
@@ -70,19 +72,18 @@ def _picture(found: PlacedFinding, outlined: Markup, *, whose: bool) -> Markup:
         element("br"),
         tables.coordinates(found),
     )
-    return element("li", element("figure", outlined, caption))
+    return element("li", element("figure", drawn, caption))
 
 
-def _outlined(box: Outline, crop: Crop, name: str) -> Markup:
-    """The crop, which the page's scripts find by that name, with the box drawn on it."""
+def outlined(box: Outline, crop: Crop, name: str, *, again: bool = False) -> Markup:
+    """The crop with the box drawn on it; `name` is the picture's in the document, which has it already if `again`."""
     corner = {"x": box.left_px - crop.left_px, "y": box.top_px - crop.top_px}
     size = {"width": box.width_px, "height": box.height_px}
     return element(
         "svg",
         element("title", f"{printable(box.words, _LONGEST_LABEL)}, on the photo"),
-        element(
-            "image", id=name, href=f"data:image/jpeg;base64,{base64.b64encode(crop.jpeg).decode()}",
-            width=crop.width_px, height=crop.height_px,
+        element("use", href=f"#{name}") if again else element(
+            "image", id=name, href=in_document(crop.jpeg), width=crop.width_px, height=crop.height_px
         ),
         element("rect", **corner, **size, class_="around"),
         element("rect", **corner, **size, class_="box"),

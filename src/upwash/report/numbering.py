@@ -41,6 +41,15 @@ class FlightFindings:
     home: GeoPosition | None
     found: Sequence[Finding]
 
+    def time_of_day(self, at_s: float) -> datetime | None:
+        """The time of day (UTC) at that second of the log, None if unknown."""
+        if self.opened is None:
+            return None
+        try:
+            return self.opened.astimezone(UTC) + timedelta(seconds=at_s)
+        except OverflowError:
+            return None
+
 
 @dataclass(frozen=True, slots=True)
 class PlacedFinding:
@@ -65,12 +74,7 @@ class PlacedFinding:
     @property
     def time(self) -> datetime | None:
         """The time of day of the message, None if unknown."""
-        if self.flight.opened is None:
-            return None
-        try:
-            return self.flight.opened.astimezone(UTC) + timedelta(seconds=self.finding.at_s)
-        except OverflowError:
-            return None
+        return self.flight.time_of_day(self.finding.at_s)
 
     @property
     def earth(self) -> tuple[float, float] | None:
@@ -123,7 +127,7 @@ def _numbered(flights: Sequence[FlightFindings]) -> Numbered:
     for number, (keys, place) in enumerate(groups, start=1):
         for flight, index in keys:
             numbers[flight][index] = number
-        best = max(keys, key=lambda key: _sureness(flights[key[0]].found[key[1]]))
+        best = max(keys, key=lambda key: sureness(flights[key[0]].found[key[1]]))
         finding = flights[best[0]].found[best[1]]
         if place is not None:
             east_m, north_m = offset_m(flights, best[0])
@@ -175,7 +179,8 @@ def offset_m(flights: Sequence[FlightFindings], flight: int) -> Shift:
     return position.east_m, position.north_m
 
 
-def _sureness(finding: Finding) -> tuple[float, float]:
+def sureness(finding: Finding) -> tuple[float, float]:
+    """What orders the sightings of an object: the score, and then the error."""
     return finding.score or 0.0, -(finding.error_m or 0.0)
 
 
@@ -208,8 +213,13 @@ def what_was_found(findings: Iterable[Finding]) -> str:
     return f"{counted(kinds.total(), noun)}: {', '.join(parts)}"
 
 
+def noun_of(label: str) -> str:
+    """What people call an object of that label."""
+    return _FAULTS.get(label) or printable(label.replace("_", " "), _LONGEST_LABEL)
+
+
 def _of_kind(label: str, number: int) -> str:
-    noun = _FAULTS.get(label) or printable(label.replace("_", " "), _LONGEST_LABEL)
+    noun = noun_of(label)
     if not noun[-1:].isalpha():
         return f"{number} x {noun}"
     return counted(number, noun)

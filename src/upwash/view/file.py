@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -12,6 +11,7 @@ import msgspec
 from upwash.eventlog.results import RunResult
 from upwash.report.crops import shrunk
 from upwash.report.finding_files import as_csv, as_geojson, as_kml
+from upwash.report.gallery import in_document
 from upwash.report.photos import PhotoShelf, Shot
 from upwash.report.record import Record, findings_of
 from upwash.report.sheet import draw_sheet
@@ -116,7 +116,7 @@ def _small(jpeg: bytes | None) -> _Photo | None:
     if photo is None:
         return None
     content, width, height = photo
-    return _Photo(f"data:image/jpeg;base64,{base64.b64encode(content).decode()}", width, height)
+    return _Photo(in_document(content), width, height)
 
 
 def _items(items: Iterable[object]) -> Iterator[bytes]:
