@@ -11,10 +11,12 @@ from pathlib import Path
 from upwash.cli.arguments import option
 from upwash.cli.other_policies import OTHERS_FLY, others_flown
 from upwash.errors import UsageError
+from upwash.report.dataset import require_new, write_dataset
 from upwash.report.exports import write_csv, write_geojson, write_json
 from upwash.report.finding_files import FORMATS, findings_file
 from upwash.report.photos import PhotoShelf
-from upwash.report.record import Record, read_records
+from upwash.report.record import Record, read_records, reviewed_of
+from upwash.report.reviews import logs_among
 from upwash.support.loading import extra
 from upwash.support.output_files import write_file
 from upwash.support.progress import work
@@ -34,14 +36,17 @@ ARGUMENTS = {
     "--findings FILE": "each thing that was found, as .csv, .geojson or .kml; as .zip all three, with pictures",
     "--mcap FILE": "a recording that Foxglove opens",
     "--bag DIR": "a ROS 2 bag, a new folder",
+    "--dataset DIR": "the photos with accepted boxes, as YOLO's tools train with them, a new folder",
     "--scenario FILE": OTHERS_FLY,
-    "--photos DIR": "with -o, --mcap, --bag or --findings: the folder of the photos that the logs name",
+    "--photos DIR": "with -o, --mcap, --bag, --findings or --dataset: the folder of the photos that the logs name",
+    "--unreviewed": "the findings as the flight told them, without the reviews beside the logs",
     "--json": "print the results as one JSON array",
 }
 
 
 def run(options: argparse.Namespace) -> None:
     """Make the wanted files."""
+    options.logs = logs_among(options.logs)
     files: list[tuple[Path | None, Writer]] = [
         (options.out, functools.partial(_page, options=options)),
         (options.csv, _in_utf8(write_csv)),
@@ -50,8 +55,12 @@ def run(options: argparse.Namespace) -> None:
         (options.mcap, functools.partial(_recording, photos=options.photos)),
         (_PRINTED if options.json else None, _in_utf8(lambda records: write_json(records) + "\n")),
     ]
-    if options.photos and not (options.mcap or options.out or options.findings or options.bag):
-        raise UsageError("--photos goes with -o, --mcap, --bag or --findings: nothing else has photos in it")
+    if options.photos and not (
+        options.mcap or options.out or options.findings or options.bag or options.dataset
+    ):
+        raise UsageError(
+            "--photos goes with -o, --mcap, --bag, --findings or --dataset: nothing else has photos in it"
+        )
     if options.findings and _suffix(options.findings) not in FORMATS:
         endings = ", ".join(f".{name}" for name in FORMATS)
         raise UsageError(
@@ -60,17 +69,22 @@ def run(options: argparse.Namespace) -> None:
     if options.scenario and not options.out:
         raise UsageError("--scenario goes with -o: only the page says what other policies would have done")
     wanted = [(file, write) for file, write in files if file is not None]
-    if not wanted and not options.bag:
+    if not wanted and not options.bag and not options.dataset:
         raise UsageError(
-            "nothing to make: ask for -o FILE, --csv FILE, --geojson FILE, --findings FILE, --mcap FILE, --bag DIR "
-            "or --json"
+            "nothing to make: ask for -o FILE, --csv FILE, --geojson FILE, --findings FILE, --mcap FILE, --bag DIR, "
+            "--dataset DIR or --json"
         )
     if [file for file, _ in wanted].count(_PRINTED) > 1:
         raise UsageError("two outputs would be printed as one: name a file for all but one of them")
     if options.bag:
         with extra("bag"):
             from upwash.report.bag import write_bag
-    records = read_records(options.logs)
+    if options.dataset:
+        if options.unreviewed:
+            raise UsageError("--dataset has what was accepted, so it does not go with --unreviewed")
+        require_new(options.dataset)
+    records = read_records(options.logs, unreviewed=options.unreviewed)
+    _tell_reviews(records)
     written = []
     with work("files made", len(wanted)) as done:
         for file, write in wanted:
@@ -86,11 +100,24 @@ def run(options: argparse.Namespace) -> None:
         with work("writing the bag"):
             write_bag(records, options.bag, photos=options.photos)
         print(f"written: {options.bag}", file=sys.stderr)
+    if options.dataset:
+        with work("writing the data set"):
+            told = write_dataset(records, options.dataset, photos=options.photos)
+        print(f"written: {options.dataset} ({told})", file=sys.stderr)
+
+
+def _tell_reviews(records: Sequence[Record]) -> None:
+    """Says how many findings are reviewed, as not every format has room for it."""
+    tally = reviewed_of(records).tally
+    for sentence in ([tally.words] if tally.words else []) + list(tally.remarks):
+        print(f"findings: {sentence}", file=sys.stderr)
 
 
 def _page(records: Sequence[Record], *, options: argparse.Namespace) -> Iterable[bytes]:
     flown = others_flown(options.logs, options.scenario)
-    return write_page(options.logs, records, photos=options.photos, flown=flown)
+    return write_page(
+        options.logs, records, photos=options.photos, flown=flown, unreviewed=options.unreviewed
+    )
 
 
 def _in_utf8(write: Callable[[Sequence[Record]], str]) -> Writer:

@@ -13,6 +13,7 @@ from upwash.report.findings import MOST_PICTURED
 from upwash.report.markup import Markup, element, joined
 from upwash.report.numbering import PlacedFinding
 from upwash.report.photos import PhotoShelf
+from upwash.report.reviewed import ReviewedFindings
 from upwash.support.text import printable
 
 _WITHOUT = (
@@ -23,9 +24,13 @@ _LONGEST_LABEL = 60  # characters
 
 
 def draw_findings(
-    found: Sequence[PlacedFinding], shelf: PhotoShelf, *, most: int, whose: bool = False
+    reviewed: ReviewedFindings, shelf: PhotoShelf, *, most: int, whose: bool = False
 ) -> Markup:
-    """Pictures of at most `most` boxes, and a table of all; `whose` says that each has the name of its flight."""
+    """Pictures of at most `most` boxes, and a table of all; `whose` says that each has the name of its flight.
+
+    Rejected findings are left out; a sentence says how many were reviewed.
+    """
+    found, tally = reviewed.objects, reviewed.tally
     pictures: list[Markup] = []
     lacking = False
     for each in found[:MOST_PICTURED]:
@@ -38,7 +43,8 @@ def draw_findings(
                 else _outlined(each.finding.box, crop, f"crop-{each.best[0]}-{each.best[1]}")
             )
             pictures += [] if outlined is None else [_picture(each, outlined, whose=whose)]
-    notes = []
+    notes = [_note(f"{tally.words}.")] if tally.words else []
+    notes += [_note(f"{remark[:1].upper()}{remark[1:]}.") for remark in tally.remarks]
     if len(pictures) >= most:
         notes.append(_note(f"No more than {most} pictures are shown; the table has every finding."))
     elif lacking:
@@ -69,6 +75,7 @@ def _picture(found: PlacedFinding, outlined: Markup, *, whose: bool) -> Markup:
         f"{flight}{where}at {clock(found.mission_s)}",
         element("br"),
         tables.coordinates(found),
+        *((element("br"), element("bdi", found.note)) if found.note else ()),
     )
     return element("li", element("figure", outlined, caption))
 
