@@ -161,7 +161,7 @@ class Feed:
         self._identity = secrets.token_hex(4)  # so that no page takes this feed for one before it
         self._summaries: dict[int, str] = {}
         self._summarized: dict[int, int] = {}
-        self._reviewing = reviewing
+        self.reviewing = reviewing
         self._reviews = [] if unreviewed else [ReviewsBeside(recording.log) for recording in recordings]
         self._found = list[Found]()
         self._counted: list[tuple[int, int]] = []
@@ -281,7 +281,7 @@ class Feed:
     def _page(self) -> Page:
         files = [review_file(recording.log).name for recording in self.recordings]
         return Page(
-            self._names, _are_of_several_drones(self.recordings), self._tiles, files, self._reviewing
+            self._names, _are_of_several_drones(self.recordings), self._tiles, files, self.reviewing
         )
 
     async def messages(self, after: str = "") -> AsyncIterator[str]:
