@@ -1,6 +1,8 @@
 // Where reviews of findings go: to the program behind the page, or into files that the page offers.
 
 const GONE = "The program behind this page does not answer: it did not keep the review.";
+const TRIES = 3;
+const AGAIN_MS = 400;
 
 export class Desk {
   #files; // the names of the files with reviews, by log
@@ -27,12 +29,9 @@ export class Desk {
       return "";
     }
     const headers = { "Content-Type": "application/json", "X-Upwash-Token": this.#token };
-    try {
-      const answer = await fetch("review", { method: "POST", headers, body: JSON.stringify({ log, ...line }) });
-      return answer.ok ? "" : `Not kept: ${await answer.text()}.`;
-    } catch {
-      return GONE;
-    }
+    const answer = await asked("review", { method: "POST", headers, body: JSON.stringify({ log, ...line }) });
+    if (!answer) return GONE;
+    return answer.ok ? "" : `Not kept: ${await answer.text()}.`;
   }
 
   // The name, the content and the number of reviews of each file that the page has to offer.
@@ -40,4 +39,16 @@ export class Desk {
     const files = this.#files.map((name, log) => [name, this.#made[log].map((line) => `${JSON.stringify(line)}\n`), this.#made[log].length]);
     return files.filter(([, , count]) => count);
   }
+}
+
+// The answer; null where there is none after several tries, which do no harm: of equal reviews the last counts.
+async function asked(address, request) {
+  for (let tries = 0; tries < TRIES; tries += 1) {
+    try {
+      return await fetch(address, request);
+    } catch {
+      await new Promise((done) => setTimeout(done, AGAIN_MS));
+    }
+  }
+  return null;
 }

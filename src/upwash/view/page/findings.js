@@ -17,6 +17,7 @@ export class Findings {
   #target = null; // the one that is reviewed, which stays while the moment moves on
   #focuses = false; // on what is selected, once that is listed
   #current = null;
+  #pointed; // its element
 
   // Of so many logs of one drone or of a fleet; `picked` is told which one is clicked, and of which story it is.
   constructor(stories, name, { log = 0, picked, desk, changed }) {
@@ -91,7 +92,6 @@ export class Findings {
     this.#items = new Map(kept.map((each) => [each.finding.no, each]));
     this.#lay(kept.map(({ item }) => item));
     for (const { say } of kept) say();
-    if (!this.#items.has(this.#current?.no)) this.#current = null;
     this.list.classList.toggle("pictureless", !findings.some(({ pictured }) => pictured));
     this.#listed = findings;
   }
@@ -165,10 +165,10 @@ export class Findings {
   #point(current) {
     if (this.#focuses) (this.#items.get(this.#target?.finding.no)?.item.firstElementChild ?? this.scroller).focus();
     this.#focuses = false;
-    if (current === this.#current) return;
-    this.#items.get(this.#current?.no)?.item.removeAttribute("aria-current");
-    this.#current = current;
     const item = this.#items.get(current?.no)?.item;
+    if (current === this.#current && item === this.#pointed) return;
+    this.#pointed?.removeAttribute("aria-current");
+    [this.#current, this.#pointed] = [current, item];
     if (!item) return;
     item.setAttribute("aria-current", "true");
     const [top, bottom] = [item.offsetTop, item.offsetTop + item.offsetHeight];
