@@ -24,8 +24,8 @@ from mcap.reader import make_reader
 
 from upwash.cli.main import main
 from upwash.core.geo import GeoPosition, LocalFrame
-from upwash.report.reviews import FindingKey, Review, Verdict, append_review
 from upwash.report.record import Record, read_records
+from upwash.report.reviews import FindingKey, Review, Verdict, append_review
 from upwash.report.series import STATE_NUMBERS
 from upwash.services.solar_park import Park, View, photograph
 

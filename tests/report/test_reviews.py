@@ -40,7 +40,7 @@ def reviewed(*logs: Path) -> ReviewedFindings:
 
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
-    """A flight that found three objects, of which the second is rejected and the third has another label and a note."""
+    """Three objects were found: the second is rejected, the third has another label and a note."""
     log = flight(tmp_path / "f.jsonl", [BOX, OTHER, {**BOX, "left_px": 500.0}])
     review(log, 1, REJECTED, reviewer="anna")
     review(log, 2, ACCEPTED, label="shadow", note="by the pole", reviewer="anna")
@@ -127,7 +127,7 @@ def test_no_label_and_no_note_is_markup_or_a_formula(tmp_path: Path) -> None:
     (row,) = rows_of(log, tmp_path / "f.kml")
     assert not {"<", ">"} & set("".join(row))
     page = parsed(log)
-    assert not [each for each in page.iter("img")]
+    assert not list(page.iter("img"))
     assert [each for each in page.iter("bdi") if (each.text or "").startswith("=1+1<img")]
     for file in ("f.csv", "f.kml"):
         assert not {"\u202e", "\x1b"} & set((tmp_path / file).read_text())
@@ -262,7 +262,8 @@ def test_a_data_set_has_the_accepted_boxes_under_their_labels(
         'train: images\nval: images\nnames:\n  0: "hot-spot"\n  1: "odd: \\"name\\""\n'
     )
     first, second = labels_of(folder, "1")
-    assert (first[0], first[1:]) == (0, pytest.approx([115 / 640, 70 / 480, 30 / 640, 20 / 480], abs=1e-6))
+    assert first[0] == 0
+    assert first[1:] == pytest.approx([115 / 640, 70 / 480, 30 / 640, 20 / 480], abs=1e-6)
     assert second[:2] == [1, pytest.approx(515 / 640, abs=1e-6)]
     pixels = cv2.imread(str(folder / "images" / "1.jpg"), cv2.IMREAD_GRAYSCALE)
     assert pixels is not None and pixels[70, 115] > 240, "the box is where the photo is white"

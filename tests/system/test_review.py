@@ -51,12 +51,12 @@ def address(log: Path) -> Iterator[str]:
 def press(page: Browser, *keys: str) -> None:
     """Presses them one after the other, as a person does who sees what each has done."""
     for key in keys:
-        ActionChains(page.driver).send_keys(key).perform()  # type: ignore[no-untyped-call]
+        ActionChains(page.driver).send_keys(key).perform()
         page.drawn()
 
 
-def opened(page: Browser, address: str, **window: int) -> None:
-    page.open(address, **window)
+def opened(page: Browser, address: str, width: int = 1280) -> None:
+    page.open(address, width=width)
     page.wait_until(lambda: page.text(".tally") == "0 of 4 reviewed")
     page.drawn()
 
@@ -88,13 +88,15 @@ def test_findings_are_reviewed_by_keyboard_alone(page: Browser, address: str, lo
 
 
 def test_findings_are_reviewed_by_touch_on_a_phone(page: Browser, address: str, log: Path) -> None:
-    opened(page, address, width=390, height=844)
+    opened(page, address, width=390)
     assert page.too_small(".review button, .review summary, .review .all", least_px=44) == []
 
     def tap(selector: str) -> None:
         page.run("document.querySelector(arguments[0]).scrollIntoView({block: 'center'})", selector)
         page.drawn()
-        box = page.run("return document.querySelector(arguments[0]).getBoundingClientRect().toJSON()", selector)
+        box = page.run(
+            "return document.querySelector(arguments[0]).getBoundingClientRect().toJSON()", selector
+        )
         at = {"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2}
         for kind, points in (("touchStart", [at]), ("touchEnd", [])):
             page.driver.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})

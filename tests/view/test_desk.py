@@ -23,7 +23,12 @@ from upwash.report.reviews import review_file
 
 pytestmark = pytest.mark.system
 
-REVIEW = {"log": 0, "finding": {"t_s": 16, "message": 0, "index": 0}, "verdict": "rejected", "reviewer": "anna"}
+REVIEW = {
+    "log": 0,
+    "finding": {"t_s": 16, "message": 0, "index": 0},
+    "verdict": "rejected",
+    "reviewer": "anna",
+}
 NOBODY = 65534
 PYTHON = shutil.which("python3", path="/usr/bin:/bin")
 

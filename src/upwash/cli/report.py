@@ -55,19 +55,7 @@ def run(options: argparse.Namespace) -> None:
         (options.mcap, functools.partial(_recording, photos=options.photos)),
         (_PRINTED if options.json else None, _in_utf8(lambda records: write_json(records) + "\n")),
     ]
-    if options.photos and not (
-        options.mcap or options.out or options.findings or options.bag or options.dataset
-    ):
-        raise UsageError(
-            "--photos goes with -o, --mcap, --bag, --findings or --dataset: nothing else has photos in it"
-        )
-    if options.findings and _suffix(options.findings) not in FORMATS:
-        endings = ", ".join(f".{name}" for name in FORMATS)
-        raise UsageError(
-            f"{options.findings} does not say which format the findings must have: end it in one of {endings}"
-        )
-    if options.scenario and not options.out:
-        raise UsageError("--scenario goes with -o: only the page says what other policies would have done")
+    _require_sense(options)
     wanted = [(file, write) for file, write in files if file is not None]
     if not wanted and not options.bag and not options.dataset:
         raise UsageError(
@@ -79,10 +67,6 @@ def run(options: argparse.Namespace) -> None:
     if options.bag:
         with extra("bag"):
             from upwash.report.bag import write_bag
-    if options.dataset:
-        if options.unreviewed:
-            raise UsageError("--dataset has what was accepted, so it does not go with --unreviewed")
-        require_new(options.dataset)
     records = read_records(options.logs, unreviewed=options.unreviewed)
     _tell_reviews(records)
     written = []
@@ -104,6 +88,27 @@ def run(options: argparse.Namespace) -> None:
         with work("writing the data set"):
             told = write_dataset(records, options.dataset, photos=options.photos)
         print(f"written: {options.dataset} ({told})", file=sys.stderr)
+
+
+def _require_sense(options: argparse.Namespace) -> None:
+    """Raises UsageError for options that do not go together."""
+    if options.photos and not (
+        options.mcap or options.out or options.findings or options.bag or options.dataset
+    ):
+        raise UsageError(
+            "--photos goes with -o, --mcap, --bag, --findings or --dataset: nothing else has photos in it"
+        )
+    if options.findings and _suffix(options.findings) not in FORMATS:
+        endings = ", ".join(f".{name}" for name in FORMATS)
+        raise UsageError(
+            f"{options.findings} does not say which format the findings must have: end it in one of {endings}"
+        )
+    if options.scenario and not options.out:
+        raise UsageError("--scenario goes with -o: only the page says what other policies would have done")
+    if options.dataset:
+        if options.unreviewed:
+            raise UsageError("--dataset has what was accepted, so it does not go with --unreviewed")
+        require_new(options.dataset)
 
 
 def _tell_reviews(records: Sequence[Record]) -> None:

@@ -25,7 +25,7 @@ _DIGITS = 6
 
 @dataclass(slots=True)
 class _Labelled:
-    """A photo with accepted boxes; `others` are boxes on it that nobody has reviewed."""
+    """A photo with accepted boxes; `others` counts the boxes on it without a verdict."""
 
     shot: Shot
     accepted: list[Outline] = field(default_factory=list)
@@ -33,9 +33,9 @@ class _Labelled:
 
 
 def require_new(folder: Path) -> None:
-    """Raises UsageError if there is something of that name."""
+    """Raises UsageError if the folder, or a file of its name, exists."""
     if folder.exists() or folder.is_symlink():
-        raise UsageError(f"{folder} exists: a data set is a new folder, so give the name of one that does not exist")
+        raise UsageError(f"{folder} exists: a data set is a new folder, so give another name")
 
 
 def write_dataset(records: Sequence[Record], folder: Path, *, photos: Path | None = None) -> str:
@@ -140,7 +140,9 @@ def _normalised(box: Outline, width_px: int, height_px: int) -> str | None:
 
 def _data(classes: Sequence[str]) -> str:
     """The description that YOLO's tools read; a JSON string is one of YAML too."""
-    names = "".join(f"  {number}: {json.dumps(name, ensure_ascii=False)}\n" for number, name in enumerate(classes))
+    names = "".join(
+        f"  {number}: {json.dumps(name, ensure_ascii=False)}\n" for number, name in enumerate(classes)
+    )
     return f"train: images\nval: images\nnames:\n{names}"
 
 
@@ -148,7 +150,11 @@ def _told(named: dict[str, _Labelled], written: Counter[str], classes: Sequence[
     accepted = sum(len(photo.accepted) for photo in named.values())
     parts = [f"{counted(written.total(), 'box')} of {counted(len(classes), 'class')}"]
     if lacking := accepted - written.total():
-        parts.append(f"{counted(lacking, 'accepted box')} left out, as the photo is lacking or the box is empty")
+        parts.append(
+            f"{counted(lacking, 'accepted box')} left out, as the photo is lacking or the box is empty"
+        )
     if others := sum(photo.others for photo in named.values()):
-        parts.append(f"{counted(others, 'box')} on these photos not reviewed, which a network takes for background")
+        parts.append(
+            f"{counted(others, 'box')} on these photos not reviewed, which a network takes for background"
+        )
     return "; ".join(parts)

@@ -32,7 +32,10 @@ _COLUMNS = (
 
 
 def as_csv(findings: Sequence[PlacedFinding], pictures: Pictures | None = None, reviewed: str = "") -> str:
-    """A row a finding; a cell is empty where a value is not known. How many are `reviewed` has no place in a table."""
+    """A row a finding; a cell is empty where a value is not known.
+
+    How many are `reviewed` has no place in a table.
+    """
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(_COLUMNS)

@@ -91,8 +91,8 @@ class Finding:
     """One object in a message to the user, with its box; or a result without boxes. `at_s` is its second of the log.
 
     `named` is the place that the mission gave with the message, `photo` what the message is about, None before the
-    first photo. `own` is where the object itself lies, None if unknown; `unplaced` says why. `message` is the number of
-    the message in the run and `index` that of the object in the message, both counted from 0.
+    first photo. `own` is where the object itself lies, None if unknown; `unplaced` says why. `message` is the number
+    of the message in the run and `index` that of the object in the message, both counted from 0.
     """
 
     at_s: float

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
 
 from upwash.eventlog.objects import Outline
 from upwash.eventlog.progress import clock
@@ -23,9 +22,7 @@ _WITHOUT = (
 _LONGEST_LABEL = 60  # characters
 
 
-def draw_findings(
-    reviewed: ReviewedFindings, shelf: PhotoShelf, *, most: int, whose: bool = False
-) -> Markup:
+def draw_findings(reviewed: ReviewedFindings, shelf: PhotoShelf, *, most: int, whose: bool = False) -> Markup:
     """Pictures of at most `most` boxes, and a table of all; `whose` says that each has the name of its flight.
 
     Rejected findings are left out; a sentence says how many were reviewed.

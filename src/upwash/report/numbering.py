@@ -63,7 +63,7 @@ class PlacedFinding:
 
     @property
     def review(self) -> Review | None:
-        """The last review, which counts; None where nobody has reviewed it."""
+        """The last review, which counts; None for a finding without reviews."""
         return self.reviews[-1] if self.reviews else None
 
     @property

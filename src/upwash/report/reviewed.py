@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from upwash.report.numbering import FlightFindings, Numbered, PlacedFinding, numbered
-from upwash.report.reviews import FindingKey, Ranked, Reviews
+from upwash.report.reviews import FindingKey, Ranked
 from upwash.support.text import counted, printable
 
 _MOST_NAMED = 8  # reviewers or numbers in a sentence
@@ -17,7 +17,7 @@ _MOST_NAMED = 8  # reviewers or numbers in a sentence
 class Tally:
     """How many of the findings were reviewed; `remarks` are sentences about several reviewers and odd entries.
 
-    `words` is such as "7 of 9 reviewed, 2 rejected", and empty where nobody has reviewed a finding.
+    `words` is such as "7 of 9 reviewed, 2 rejected", and empty without reviews.
     """
 
     found: int

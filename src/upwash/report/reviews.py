@@ -30,7 +30,7 @@ _LOG = ".jsonl"
 
 
 class Verdict(StrEnum):
-    """What a person decided; open is what nobody decided, or what a person took back."""
+    """What a person decided; open is a verdict that the person took back."""
 
     ACCEPTED = "accepted"
     REJECTED = "rejected"
@@ -91,7 +91,7 @@ def review_file(log: Path) -> Path:
 
 
 def logs_among(files: Sequence[Path]) -> list[Path]:
-    """The files without those that have the reviews of others of them, which a pattern such as *.jsonl matches too."""
+    """The files without the reviews of others of them, which a pattern such as *.jsonl matches too."""
     reviews = {review_file(file) for file in files}
     return [file for file in files if file not in reviews]
 
@@ -185,7 +185,7 @@ _DECODER = msgspec.json.Decoder(Review)
 
 
 def _in_one_line(review: Review) -> Review:
-    """The review in printed characters: the file may be anybody's."""
+    """The review in printed characters: any program may have written the file."""
     return msgspec.structs.replace(
         review,
         label=printable(review.label.strip()),

@@ -311,7 +311,7 @@ def findings(found: Sequence[PlacedFinding], *, whose: bool = False) -> Markup:
 
 
 def _reviewed(found: PlacedFinding) -> Markup:
-    """The verdict and the note of a finding; empty where nobody has decided."""
+    """The verdict and the note of a finding; empty without them."""
     verdict = found.review.verdict.value if found.review and found.is_reviewed else ""
     return joined(verdict, ": " if verdict and found.note else "", element("bdi", found.note))
 

@@ -37,7 +37,7 @@ from upwash.view.feed import Feed, Reviewing
 
 _MOST_BYTES = 2**14  # of a request
 _PATIENCE_S = 5.0
-_BURST, _EACH_S = 50, 0.2  # requests at once, and the seconds after which one more is taken
+_BURST, _EACH_S = 50, 0.2  # requests at once, and the seconds for each request after that
 _TOKEN = "X-Upwash-Token"  # noqa: S105 - the name of a header
 
 

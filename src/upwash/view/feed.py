@@ -34,10 +34,10 @@ class Reviewing(msgspec.Struct, frozen=True):
 
 
 class Page(msgspec.Struct, frozen=True):
-    """What a page is to be about: `together` says whether the logs are of several drones, to be shown on one map.
+    """What a page shows: `together` says whether the logs are of several drones, to be shown on one map.
 
-    `review_files` are the names of the files that have the logs' reviews. Without `reviewing` nobody keeps reviews that
-    are made on the page.
+    `review_files` are the names of the files that have the logs' reviews. Without `reviewing` no program keeps
+    reviews that are made on the page.
     """
 
     logs: Sequence[str]
@@ -240,8 +240,8 @@ class Feed:
         if any(recording.is_behind for recording in self.recordings):
             return False
         is_new = self._join(at_once=at_once)
-        has_other_reviews = any([beside.look() for beside in self._reviews])
-        if not is_new and not has_other_reviews:
+        looks = [beside.look() for beside in self._reviews]
+        if not is_new and not any(looks):
             return False
         flights, found = self._numbered
         told = with_reviews(found, self._with_reviews(flights))
@@ -280,9 +280,7 @@ class Feed:
 
     def _page(self) -> Page:
         files = [review_file(recording.log).name for recording in self.recordings]
-        return Page(
-            self._names, _are_of_several_drones(self.recordings), self._tiles, files, self.reviewing
-        )
+        return Page(self._names, _are_of_several_drones(self.recordings), self._tiles, files, self.reviewing)
 
     async def messages(self, after: str = "") -> AsyncIterator[str]:
         """The events for one page, until the feed is closed; `after` is the id of the last one that it has."""

@@ -66,8 +66,8 @@ def write_page(
     """The page about these logs, whose records these are, piece by piece.
 
     Photos are of that folder where the logs name them, and rendered ones. `flown` is what other policies did in the
-    world of the one log, by name. Reviews count, except `unreviewed`, which the records must be too. Raises UsageError
-    for what is no event log.
+    world of the one log, by name. Reviews count, except `unreviewed`, which the records must be too. Raises
+    UsageError for what is no event log.
     """
     names = ", ".join(record.name for record in records)
     title = f"Flight report: {names if len(records) <= _SIDE_BY_SIDE else counted(len(records), 'flight')}"

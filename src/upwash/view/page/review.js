@@ -20,6 +20,7 @@ export class ReviewPanel {
   #target = null; // what is reviewed: { story, log, finding }
   #undone = []; // what was there before each review made here
   #shown = "";
+  #counted = []; // by story: what was found, as it is counted
   #links = "";
 
   // `move` selects the finding that many places further down the list, `changed` shows what is new.
@@ -42,7 +43,7 @@ export class ReviewPanel {
     this.downloads = element("span", { class: "made" });
     this.remarks = element("p", { class: "note" });
     this.said = element("p", { class: "said", role: "status" });
-    const keys = KEYS.flatMap(([key, does]) => [element("kbd", {}, key), ` ${does} `]);
+    const keys = KEYS.flatMap(([key, does]) => [" ", element("span", {}, element("kbd", {}, key), ` ${does}`)]);
     this.element = element(
       "section",
       { class: "review", "aria-label": `Review, ${name}` },
@@ -50,7 +51,7 @@ export class ReviewPanel {
       this.about,
       element("div", { class: "verdicts" }, this.accept, this.reject, this.undo),
       this.more,
-      element("p", { class: "note keys" }, "Keys: ", ...keys),
+      element("p", { class: "note keys" }, "Keys:", ...keys),
       this.remarks,
       this.said,
     );
@@ -116,6 +117,9 @@ export class ReviewPanel {
   }
 
   #count() {
+    const { stories } = this;
+    if (stories.every(({ found }, index) => found === this.#counted[index])) return;
+    this.#counted = stories.map(({ found }) => found);
     const all = this.stories.flatMap((story) => story.objects).map(reviewOf);
     const rejected = all.filter(({ verdict }) => verdict === "rejected").length;
     const reviewed = all.filter(({ verdict }) => verdict !== "open").length;
