@@ -163,9 +163,11 @@ def test_other_users_of_the_machine_write_nothing(address: str, log: Path) -> No
         "c.request('POST', '/review', sys.argv[2], eval(sys.argv[3])); print(c.getresponse().status)"
     )
     command = [str(PYTHON), "-I", "-S", "-c", script, urlsplit(address).netloc, json.dumps(REVIEW)]
-    for user, status in ((NOBODY, "403"), (0, "204")):
+    own = headers_of(address)
+    claims = {**own, "X-Forwarded-For": "127.0.0.1"}
+    for user, headers, status in ((NOBODY, own, "403"), (NOBODY, claims, "403"), (0, own, "204")):
         done = subprocess.run(
-            [*command, repr(headers_of(address))],
+            [*command, repr(headers)],
             capture_output=True,
             text=True,
             check=True,

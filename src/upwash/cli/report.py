@@ -16,7 +16,7 @@ from upwash.report.exports import write_csv, write_geojson, write_json
 from upwash.report.finding_files import FORMATS, findings_file
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record, read_records, reviewed_of
-from upwash.report.reviews import logs_among
+from upwash.report.reviews import NO_REVIEWS, logs_among
 from upwash.support.loading import extra
 from upwash.support.output_files import write_file
 from upwash.support.progress import work
@@ -113,6 +113,8 @@ def _require_sense(options: argparse.Namespace) -> None:
 
 def _tell_reviews(records: Sequence[Record]) -> None:
     """Says how many findings are reviewed, as not every format has room for it."""
+    if all(record.reviews is NO_REVIEWS for record in records):
+        return
     tally = reviewed_of(records).tally
     for sentence in ([tally.words] if tally.words else []) + list(tally.remarks):
         print(f"findings: {sentence}", file=sys.stderr)

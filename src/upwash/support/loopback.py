@@ -5,7 +5,8 @@ from __future__ import annotations
 import socket
 from pathlib import Path
 
-_CONNECTIONS = Path("/proc/net/tcp")
+_CONNECTIONS = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
+_IN_SIX = "0000000000000000FFFF0000"  # before an IPv4 address in IPv6
 _LOCAL, _REMOTE, _USER = 1, 2, 7  # columns
 Address = tuple[str, int]
 
@@ -16,10 +17,13 @@ def user_of(client: Address, server: Address) -> int | None:
     Raises OSError where the system does not say.
     """
     ends = [_written(client), _written(server)]
-    for line in _CONNECTIONS.read_text(encoding="ascii").splitlines()[1:]:
-        columns = line.split()
-        if [columns[_LOCAL], columns[_REMOTE]] == ends:
-            return int(columns[_USER])
+    for file in _CONNECTIONS:
+        if not file.exists():  # without IPv6
+            continue
+        for line in file.read_text(encoding="ascii").splitlines()[1:]:
+            columns = line.split()
+            if [columns[each].removeprefix(_IN_SIX) for each in (_LOCAL, _REMOTE)] == ends:
+                return int(columns[_USER])
     return None
 
 

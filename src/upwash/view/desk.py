@@ -111,8 +111,6 @@ class Desk:
             raise _Refused(403, "reviews are taken from this program's own page alone")
         if not secrets.compare_digest(headers.get(_TOKEN, "").encode(), self._token):
             raise _Refused(403, "this page is of an earlier run of the program: load it again")
-        if not self._pace.allows():
-            raise _Refused(429, "too many reviews at once: wait a few seconds")
         client, server = request.client, request.scope.get("server")
         try:
             user = user_of((client.host, client.port), tuple(server)) if client and server else None
@@ -123,6 +121,8 @@ class Desk:
                 403,
                 "reviews are taken from the user who started this program alone: download them, or run upwash view",
             )
+        if not self._pace.allows():
+            raise _Refused(429, "too many reviews at once: wait a few seconds")
         if headers.get("content-type") != "application/json":
             raise _Refused(415, "a review is sent as application/json")
 
