@@ -19,7 +19,7 @@ export class Feed {
           this.stories = page.logs.map((name) => new Story(name));
           this.#desk = new Desk(page);
           opened(this.stories, page, this.#desk);
-        }
+        } else this.#desk.renew(page);
         said("");
       },
       facts: (batch) => {

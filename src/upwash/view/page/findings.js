@@ -3,7 +3,7 @@
 import { badge } from "./badge.js";
 import { card, element, scrolled, write } from "./element.js";
 import { wordsOf } from "./found.js";
-import { cropOf, filesOfFindings } from "./pictures.js";
+import { cropOf, filesOfFindings, loadSeen } from "./pictures.js";
 import { ReviewPanel } from "./review.js";
 
 const [WIDE_PX, HIGH_PX] = [96, 72]; // of a picture
@@ -28,7 +28,7 @@ export class Findings {
     this.list = element("ol", { class: "finds", reversed: "" });
     this.scroller = scrolled(this.list, `Findings, ${name}`);
     const [move, advance] = [(by) => this.#move(by), (target) => this.#advance(target)];
-    this.review = new ReviewPanel(stories, name, desk, { move, advance, changed });
+    this.review = new ReviewPanel(stories, name, desk, { log, move, advance, changed });
     this.element = card("Findings", this.words, this.review.element, this.scroller);
     this.element.classList.add("findings");
     this.element.querySelector("h3").after(downloads());
@@ -187,8 +187,9 @@ function seenOften({ sightings, error_m: errorM }, verdict) {
 function picture(source) {
   const frame = element("span", { class: "thumb" });
   if (!source) return frame;
-  const image = element("img", { src: source, alt: "", width: WIDE_PX, height: HIGH_PX, loading: "lazy" });
+  const image = element("img", { alt: "", width: WIDE_PX, height: HIGH_PX });
   image.addEventListener("error", () => image.remove());
+  loadSeen(image, source);
   frame.append(image);
   return frame;
 }

@@ -23,9 +23,11 @@ export class ReviewPanel {
   #counted = []; // by story: what was found, as it is counted
   #links = "";
 
-  // `move` selects the finding that many places further down the list, `changed` shows what is new.
-  constructor(stories, name, desk, { move, advance, changed }) {
+  // `log` is that of the first story, `move` selects the finding that many places further down the list, `advance` the next one without a verdict,
+  // and `changed` shows what is new.
+  constructor(stories, name, desk, { log, move, advance, changed }) {
     this.stories = stories;
+    this.logs = stories.map((_, index) => log + index);
     this.desk = desk;
     this.move = move;
     this.advance = advance;
@@ -131,8 +133,8 @@ export class ReviewPanel {
 
   // The files with what was reviewed here and is kept nowhere else.
   #offer() {
-    const files = this.desk.files;
-    const key = JSON.stringify(files.map(([name, , count]) => [name, count]));
+    const files = this.desk.filesOf(this.logs);
+    const key = JSON.stringify(files);
     if (key === this.#links) return;
     this.#links = key;
     for (const link of this.downloads.children) URL.revokeObjectURL(link.href);
