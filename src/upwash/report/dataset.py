@@ -48,7 +48,7 @@ def write_dataset(records: Sequence[Record], folder: Path, *, photos: Path | Non
     named = _labelled(reviewed_of(records))
     if not named:
         raise UsageError(
-            "no box is accepted, so a data set would be empty: accept findings on the page of `upwash view` first"
+            "no box is accepted, so a data set would be empty: accept findings on the flight page first"
         )
     classes = sorted({box.label for photo in named.values() for box in photo.accepted})
     try:
