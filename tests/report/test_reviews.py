@@ -17,12 +17,25 @@ import cv2
 import pytest
 from tests.report.pages import parsed, table_named, text
 from tests.report.test_findings import BOX, flight, jpeg
+from tests.report.test_numbering import seen_at
 
 from upwash.cli.main import main
+from upwash.core.geo import GeoPosition
 from upwash.errors import NotWritten
+from upwash.report.numbering import FlightFindings
 from upwash.report.record import read_records, reviewed_of
 from upwash.report.reviewed import ReviewedFindings
-from upwash.report.reviews import FindingKey, Review, Verdict, append_review, read_reviews, review_file
+from upwash.report.reviewed import reviewed as fold
+from upwash.report.reviews import (
+    FindingKey,
+    Ranked,
+    Review,
+    Reviews,
+    Verdict,
+    append_review,
+    read_reviews,
+    review_file,
+)
 
 NOON = datetime(2026, 5, 1, 12, 0, tzinfo=UTC)
 OTHER = {**BOX, "left_px": 300.0, "label": "broken-module", "score": 0.3}
@@ -133,13 +146,24 @@ def test_no_label_and_no_note_is_markup_or_a_formula(tmp_path: Path) -> None:
         assert not {"\u202e", "\x1b"} & set((tmp_path / file).read_text())
 
 
-def test_the_last_review_of_an_object_counts_whichever_sighting_it_is_of(tmp_path: Path) -> None:
+def test_a_review_that_is_taken_back_leaves_the_finding_open(tmp_path: Path) -> None:
     log = flight(tmp_path / "f.jsonl", [BOX])
     for verdict in (REJECTED, ACCEPTED, OPEN):
         review(log, 0, verdict)
     (found,) = reviewed(log).objects
     assert not found.is_reviewed
     assert reviewed(log).tally.words == "0 of 1 reviewed"
+
+
+def test_a_review_of_any_sighting_is_one_of_the_object(tmp_path: Path) -> None:
+    seen = [seen_at(10.0, 5.0, 0.7, photo=photo, at_s=1.0 + photo) for photo in range(3)]
+    ranked = Ranked((NOON, 1), Review(time=NOON, finding=seen[1].key, verdict=REJECTED))
+    reviews = Reviews("f", {seen[1].key: [ranked]})
+    home = GeoPosition(47.0, 8.0)
+    found = fold([FlightFindings("f", "d", None, 0.0, home, seen, reviews)])
+    assert [(each.sightings, each.is_rejected) for each in found.everything] == [(3, True)]
+    assert found.objects == []
+    assert {found.of_finding(0, index).number for index in range(3)} == {1}
 
 
 def test_two_reviewers_are_named_and_where_they_contradict_each_other(log: Path) -> None:

@@ -85,7 +85,7 @@ async def serve_view(
                 lifespan="off",
                 log_level="warning",
                 access_log=False,
-                proxy_headers=False,  # which say anything of who asks
+                proxy_headers=False,  # any program can send them
                 server_header=False,
                 timeout_graceful_shutdown=_GOODBYE_S,
             )
