@@ -47,6 +47,7 @@ from upwash.real.mavlink.signing import read_key
 from upwash.real.mavlink.telemetry import VehicleTelemetry
 from upwash.real.trust.authority import keys_in, make_keys
 from upwash.real.trust.credentials import read_credentials, read_revoked
+from upwash.report.reviews import read_reviews
 from upwash.rpc.protocol import (
     AvailabilityReply,
     AvailabilityRequest,
@@ -226,6 +227,12 @@ def _as_secret(name: str, read: Callable[[Path], object]) -> Decode:
 def _log_of_every_kind() -> bytes:
     kinds = map(schema.kind_of, schema.EVENTS)
     return b"".join(line_of(kind, float(number)) for number, kind in enumerate(kinds))
+
+
+def _reviews(file: Path) -> object:
+    """Reads the reviews, and puts those of each finding in their order."""
+    reviews = read_reviews(file.with_name("events.jsonl"))
+    return [sorted(each, key=lambda ranked: ranked.rank) for each in reviews.by_finding.values()]
 
 
 def _goodput(file: Path) -> object:
@@ -488,6 +495,15 @@ def decoders() -> Mapping[str, Decoder]:
             _as_file("events.jsonl", lambda file: read_result(event_log.read(file))),
             (UsageError,),
             (b'{"t":0.5,"event":"armed"}\n', _log_of_every_kind()),
+        ),
+        "reviews of findings": Decoder(
+            _as_file("events.review.jsonl", _reviews),
+            (),
+            (
+                b'{"time":"2026-05-01T12:00:00Z","finding":{"t_s":5.0,"message":0,"index":1},"verdict":"rejected"}\n'
+                b'{"time":"2026-05-01T12:00:01+02:00","finding":{"t_s":5.0,"message":0,"index":1},"verdict":"open",'
+                b'"label":"weed","note":"by the pole","reviewer":"anna"}\n',
+            ),
         ),
         "a goodput table": Decoder(
             _as_file("goodput.csv", _goodput), (UsageError,), (b"distance_m,goodput_mbit_s\n10,11.5\n20,9\n",)

@@ -96,6 +96,11 @@ def said(page: ElementTree.Element) -> str:
     return text(body)
 
 
+def client_page(*logs: Path) -> str:
+    """What the document of the logs says, without pictures."""
+    return said(parsed(made(*logs)))
+
+
 def numbers(page: ElementTree.Element) -> list[str]:
     return [row[0] for row in table_named(page, "Objects")[1:]]
 

@@ -25,7 +25,7 @@ from upwash.core.geo import Position
 from upwash.eventlog.objects import Outline
 from upwash.report.finding_files import as_csv, as_geojson, as_kml, as_zip
 from upwash.report.findings import OF_DRONE, OF_MISSION, OF_OBJECT, Finding
-from upwash.report.numbering import FlightFindings, PlacedFinding, placed
+from upwash.report.numbering import FlightFindings, PlacedFinding, numbered
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import findings_of, read_records
 
@@ -138,7 +138,7 @@ def test_an_object_whose_own_place_is_known_is_told_there(
 ) -> None:
     own = Place(Position(3.0, 4.0), error_m=1.5, variance=(0.3, 0.0, 0.3), apart_m=0.2)
     finding = Finding(9.0, "car", 0.5, 2, Position(0.0, 0.0), Outline(1.0, 2.0, 3.0, 4.0, "car"), None, own)
-    (row,) = rows_of(placed([FlightFindings("f", "d1", None, 1.0, None, [finding])]))
+    (row,) = rows_of(numbered([FlightFindings("f", "d1", None, 1.0, None, [finding])]).objects)
     assert (row["east_m"], row["north_m"], row["error_m"], row["place_is"]) == (
         "3.0",
         "4.0",

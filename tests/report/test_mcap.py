@@ -25,6 +25,7 @@ from mcap.reader import make_reader
 from upwash.cli.main import main
 from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.report.record import Record, read_records
+from upwash.report.reviews import FindingKey, Review, Verdict, append_review
 from upwash.report.series import STATE_NUMBERS
 from upwash.services.solar_park import Park, View, photograph
 
@@ -302,6 +303,15 @@ def test_what_was_found_is_drawn_on_its_photo(flown: Path) -> None:
     (annotations, _) = kind(recorded(log, photos=log.parent / "photos"), "ImageAnnotations")
     (box,) = annotations.message.points
     assert [(point.x, point.y) for point in box.points] == [(10, 20), (40, 20), (40, 60), (10, 60)]
+
+
+def test_what_was_rejected_is_not_drawn_and_another_label_is(flown: Path) -> None:
+    log = write(flown, [*FLOWN[:7], told(4.5, [FOUND[0], {**FOUND[0], "left_px": 300}])])
+    for index, verdict, label in ((0, Verdict.REJECTED, ""), (1, Verdict.ACCEPTED, "dirt")):
+        key = FindingKey(4.5, 0, index)
+        append_review(log, Review(time=OPENED, finding=key, verdict=verdict, label=label))
+    ((_, on_it),) = annotated(log)
+    assert on_it == ["2 dirt 90 %"]
 
 
 def test_an_answer_that_comes_after_the_next_photo_is_drawn_on_its_own(flown: Path) -> None:

@@ -11,7 +11,7 @@ from upwash.core.camera.georeference import Place
 from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.eventlog.objects import Outline
 from upwash.report.findings import Finding, TakenPhoto
-from upwash.report.numbering import FlightFindings, numbered, placed, what_was_found
+from upwash.report.numbering import FlightFindings, numbered, what_was_found
 from upwash.report.photos import Shot
 
 NEW_YEAR = datetime(2026, 1, 1, tzinfo=UTC)
@@ -30,7 +30,7 @@ def flight(drone: str | None, *at_s: float, opened: datetime | None = None) -> F
 
 
 def numbers(*flights: FlightFindings) -> list[tuple[int, str | None, float]]:
-    return [(each.number, each.flight.drone, each.finding.at_s) for each in placed(flights)]
+    return [(each.number, each.flight.drone, each.finding.at_s) for each in numbered(flights).objects]
 
 
 def test_the_findings_of_a_fleet_are_one_list_in_the_order_of_time() -> None:
@@ -105,7 +105,7 @@ def seen_at(east_m: float, north_m: float, score: float, *, photo: int, at_s: fl
 def test_of_equally_sure_sightings_the_first_counts() -> None:
     seen = [seen_at(110.0, 5.0, 0.7, photo=photo, at_s=1.0 + photo) for photo in range(3)]
     flights = [FlightFindings(name, name, None, 0.0, GeoPosition(47.0, 8.0), seen) for name in ("a", "b")]
-    (found,) = placed(flights)
+    (found,) = numbered(flights).objects
     assert (found.sightings, found.best, found.first) == (6, (0, 0), (0, 0))
 
 
@@ -118,7 +118,7 @@ def test_an_object_that_two_drones_saw_is_one_finding_wherever_their_homes_are()
         [seen_at(10.2, 5.2, 0.9, photo=0, at_s=2.0), seen_at(40.0, 5.0, 0.5, photo=1, at_s=3.0)],
     )  # fmt: skip
     found = numbered([one, other])
-    assert found.numbers == [[1], [1, 2]]
+    assert found.positions == [[0], [0, 1]]
     both, single = found.objects
     assert (both.sightings, both.flight.log, both.finding.score) == (2, "b", 0.9)
     assert (both.first, both.best) == ((0, 0), (1, 0))
@@ -136,4 +136,4 @@ def test_flights_of_one_drone_join_no_objects_of_each_other() -> None:
         FlightFindings(name, "d", None, 0.0, None, [seen_at(1.0, 1.0, 0.9, photo=0, at_s=1.0)])
         for name in "ab"
     ]
-    assert [(each.number, each.sightings) for each in placed(flights)] == [(1, 1), (1, 1)]
+    assert [(each.number, each.sightings) for each in numbered(flights).objects] == [(1, 1), (1, 1)]

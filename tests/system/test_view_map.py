@@ -172,6 +172,7 @@ def test_everything_that_was_found_is_listed_and_leads_to_its_moment(page: Brows
     assert current(page) == "", "nothing was found by then"
     assert len(page.all(".finds .later")) == 6
     *_, third, second, first = page.all(".finds button")
+    page.run("arguments[0].scrollIntoView({block: 'center'})", first)  # the player would lie above it
     first.click()
     page.wait_until(lambda: page.text("#clock").startswith("0:13"))
     page.drawn()

@@ -12,10 +12,12 @@ from upwash.cli.arguments import option
 from upwash.cli.client_document import CLIENT, client_document_of
 from upwash.cli.other_policies import OTHERS_FLY, others_flown
 from upwash.errors import UsageError
+from upwash.report.dataset import require_new, write_dataset
 from upwash.report.exports import write_csv, write_geojson, write_json
 from upwash.report.finding_files import FORMATS, findings_file
 from upwash.report.photos import PhotoShelf
-from upwash.report.record import Record, read_records
+from upwash.report.record import Record, read_records, reviewed_of
+from upwash.report.reviews import NO_REVIEWS, logs_among
 from upwash.support.loading import extra
 from upwash.support.output_files import write_file
 from upwash.support.progress import work
@@ -35,20 +37,23 @@ ARGUMENTS = {
     "--findings FILE": "each thing that was found, as .csv, .geojson or .kml; as .zip all three, with pictures",
     "--mcap FILE": "a recording that Foxglove opens",
     "--bag DIR": "a ROS 2 bag, a new folder",
+    "--dataset DIR": "the photos with accepted boxes, as YOLO's tools train with them, a new folder",
     "--scenario FILE": OTHERS_FLY,
     "--photos DIR": option(
-        "with -o, --mcap, --bag or --findings: the folder of the photos that the logs name; with --client one for "
-        "all logs, or one for each, in their order",
+        "with -o, --mcap, --bag, --findings or --dataset: the folder of the photos that the logs name; with "
+        "--client one for all logs, or one for each, in their order",
         action="append",
         default=[],
     ),
     **CLIENT,
+    "--unreviewed": "the findings as the flight told them, without the reviews beside the logs",
     "--json": "print the results as one JSON array",
 }
 
 
 def run(options: argparse.Namespace) -> None:
     """Make the wanted files."""
+    options.logs = logs_among(options.logs)
     for_client = client_document_of(options)
     folder = options.photos[0] if options.photos else None
     files: list[tuple[Path | None, Writer]] = [
@@ -59,19 +64,20 @@ def run(options: argparse.Namespace) -> None:
         (options.mcap, functools.partial(_recording, photos=folder)),
         (_PRINTED if options.json else None, _in_utf8(lambda records: write_json(records) + "\n")),
     ]
-    _check(options)
+    _require_sense(options)
     wanted = [(file, write) for file, write in files if file is not None]
-    if not wanted and not options.bag:
+    if not wanted and not options.bag and not options.dataset:
         raise UsageError(
-            "nothing to make: ask for -o FILE, --csv FILE, --geojson FILE, --findings FILE, --mcap FILE, --bag DIR "
-            "or --json"
+            "nothing to make: ask for -o FILE, --csv FILE, --geojson FILE, --findings FILE, --mcap FILE, --bag DIR, "
+            "--dataset DIR or --json"
         )
     if [file for file, _ in wanted].count(_PRINTED) > 1:
         raise UsageError("two outputs would be printed as one: name a file for all but one of them")
     if options.bag:
         with extra("bag"):
             from upwash.report.bag import write_bag
-    records = read_records(options.logs)
+    records = read_records(options.logs, unreviewed=options.unreviewed)
+    _tell_reviews(records)
     written = []
     with work("files made", len(wanted)) as done:
         for file, write in wanted:
@@ -87,13 +93,20 @@ def run(options: argparse.Namespace) -> None:
         with work("writing the bag"):
             write_bag(records, options.bag, photos=folder)
         print(f"written: {options.bag}", file=sys.stderr)
+    if options.dataset:
+        with work("writing the data set"):
+            told = write_dataset(records, options.dataset, photos=folder)
+        print(f"written: {options.dataset} ({told})", file=sys.stderr)
 
 
-def _check(options: argparse.Namespace) -> None:
+def _require_sense(options: argparse.Namespace) -> None:
     """Raises UsageError for options that do not go together."""
-    if options.photos and not (options.mcap or options.out or options.findings or options.bag):
-        raise UsageError("--photos goes with -o, --mcap, --bag or --findings: nothing else has photos in it")
-    if len(options.photos) > 1 and (not options.client or options.mcap or options.bag or options.findings):
+    others = options.mcap or options.findings or options.bag or options.dataset
+    if options.photos and not (options.out or others):
+        raise UsageError(
+            "--photos goes with -o, --mcap, --bag, --findings or --dataset: nothing else has photos in it"
+        )
+    if len(options.photos) > 1 and (not options.client or others):
         raise UsageError(
             "several --photos go with --client alone: name one folder, or make the other files by themselves"
         )
@@ -106,13 +119,25 @@ def _check(options: argparse.Namespace) -> None:
         raise UsageError(
             "--scenario goes with -o, without --client: only the flight page says what other policies would have done"
         )
+    if options.dataset:
+        if options.unreviewed:
+            raise UsageError("--dataset has what was accepted, so it does not go with --unreviewed")
+        require_new(options.dataset)
+
+
+def _tell_reviews(records: Sequence[Record]) -> None:
+    """Says how many findings are reviewed, as not every format has room for it."""
+    if all(record.reviews is NO_REVIEWS for record in records):
+        return
+    tally = reviewed_of(records).tally
+    for sentence in ([tally.words] if tally.words else []) + list(tally.remarks):
+        print(f"findings: {sentence}", file=sys.stderr)
 
 
 def _page(records: Sequence[Record], *, options: argparse.Namespace) -> Iterable[bytes]:
     flown = others_flown(options.logs, options.scenario)
-    return write_page(
-        options.logs, records, photos=options.photos[0] if options.photos else None, flown=flown
-    )
+    photos = options.photos[0] if options.photos else None
+    return write_page(options.logs, records, photos=photos, flown=flown, unreviewed=options.unreviewed)
 
 
 def _in_utf8(write: Callable[[Sequence[Record]], str]) -> Writer:

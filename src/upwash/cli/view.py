@@ -8,6 +8,7 @@ import os
 
 from upwash.cli.arguments import LIVE_PORT, announce, option, port
 from upwash.cli.other_policies import OTHERS_FLY, others_flown
+from upwash.report.reviews import logs_among
 from upwash.support.loading import extra
 
 _NICENESS = 10  # a flight that goes on beside it comes first, and the page is not starved
@@ -36,7 +37,7 @@ def run(options: argparse.Namespace) -> None:
     os.nice(_NICENESS)
     asyncio.run(
         serve_view(
-            options.logs,
+            logs_among(options.logs),
             port=options.port,
             photos=options.photos,
             flown=others_flown(options.logs, options.scenario),

@@ -13,6 +13,7 @@ from upwash.cli.arguments import option, repeated
 from upwash.core.policies.names import POLICIES
 from upwash.eventlog.log import EventLog
 from upwash.lab.whatif import DRAWS, Replays, Tuned, Tuning, WhatIf, order_of, tune, what_if
+from upwash.report.reviews import logs_among
 from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
@@ -32,6 +33,7 @@ ARGUMENTS = {
 
 def run(options: argparse.Namespace) -> None:
     """Replay them with a progress bar, and print what is predicted."""
+    options.logs = logs_among(options.logs)
     logs = [EventLog(log) for log in options.logs]
     policies = options.policies or list(POLICIES)
     with work("replays") as replayed:

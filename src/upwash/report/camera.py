@@ -20,6 +20,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.objects import Outline
 from upwash.report.clock import RecordClock
 from upwash.report.findings import Pairing
+from upwash.report.numbering import PlacedFinding
 from upwash.report.palette import DARK, components
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record
@@ -30,13 +31,14 @@ _FONT_PX, _LINE_PX = 16.0, 3.0
 
 
 def photos(
-    record: Record, numbers: Sequence[int], clock: RecordClock, shelf: PhotoShelf
+    record: Record, objects: Sequence[PlacedFinding], clock: RecordClock, shelf: PhotoShelf
 ) -> Iterator[tuple[int, CompressedImage | ImageAnnotations]]:
     """Each available photo, and its boxes with the numbers of the findings, both at the time of the shutter.
 
-    A photo without findings has an empty list of boxes, which replaces the boxes of the photo before.
+    `objects` has the object of each of the record's findings. A photo without findings has an empty list of boxes,
+    which replaces the boxes of the photo before.
     """
-    boxes = _boxes_by_photo(record, numbers)
+    boxes = _boxes_by_photo(record, objects)
     pairing = Pairing()
     for event in record.events:
         pairing.take(event)
@@ -49,12 +51,13 @@ def photos(
                 yield time_ns, _annotations(boxes.get(photo.number, []), time)
 
 
-def _boxes_by_photo(record: Record, numbers: Sequence[int]) -> dict[int, list[_Numbered]]:
-    """The boxes on each photo by its number, with the numbers of their findings."""
+def _boxes_by_photo(record: Record, objects: Sequence[PlacedFinding]) -> dict[int, list[_Numbered]]:
+    """The boxes on each photo by its number, with the numbers of their findings, without rejected ones."""
     found: dict[int, list[_Numbered]] = {}
-    for finding, number in zip(record.findings, numbers, strict=True):
-        if finding.photo is not None and finding.box is not None:
-            found.setdefault(finding.photo.number, []).append((number, finding.box))
+    for finding, each in zip(record.findings, objects, strict=True):
+        shown = each.sighting(finding)
+        if shown.photo is not None and shown.box is not None and not each.is_rejected:
+            found.setdefault(shown.photo.number, []).append((each.number, shown.box))
     return found
 
 

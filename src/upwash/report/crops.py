@@ -54,6 +54,18 @@ def pixels_of(jpeg: bytes) -> MatLike | None:
         return None
 
 
+def size_of(jpeg: bytes) -> tuple[int, int] | None:
+    """The photo's width and height in pixels, None where nothing here can read it."""
+    try:
+        from upwash.services.photo import NotAPhoto, photo_size
+    except ImportError:  # the extra "detector" is not installed
+        return None
+    try:
+        return photo_size(jpeg)
+    except NotAPhoto:
+        return None
+
+
 def shrunk(jpeg: bytes, width_px: int) -> tuple[bytes, int, int] | None:
     """The photo at most that wide, and its own width and height; None where nothing here can decode the photo."""
     pixels = pixels_of(jpeg)

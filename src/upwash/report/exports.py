@@ -15,7 +15,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.progress import CallPlaces
 from upwash.eventlog.results import RunResult, as_json
 from upwash.report.palette import LIGHT
-from upwash.report.record import Record
+from upwash.report.record import Record, reviewed_of
 from upwash.support.text import escaped
 
 _SIDES = 64  # of the polygon that stands for a range
@@ -25,13 +25,22 @@ _FORMULAS = tuple(
 )  # what formulas begin with: Excel takes full-width signs too
 
 
-class Exported(msgspec.Struct, frozen=True):
+class Exported(msgspec.Struct, frozen=True, omit_defaults=True):
     """One run in the JSON export."""
 
     log: str
     result: RunResult
     local_only_time_s: float | None
     saved_s: float | None
+    findings: ExportedFindings | None = None
+
+
+class ExportedFindings(msgspec.Struct, frozen=True):
+    """How many findings a run with reviews has, how many are reviewed, and how many of these are rejected."""
+
+    found: int
+    reviewed: int
+    rejected: int
 
 
 def write_json(records: Sequence[Record]) -> str:
@@ -45,7 +54,11 @@ def write_result(record: Record) -> str:
 
 
 def _exported(record: Record) -> Exported:
-    return Exported(record.name, record.result, record.result.local_only_time_s(), record.saved_s)
+    findings = None
+    if record.reviews.by_finding:
+        tally = reviewed_of([record]).tally
+        findings = ExportedFindings(tally.found, tally.reviewed, tally.rejected)
+    return Exported(record.name, record.result, record.result.local_only_time_s(), record.saved_s, findings)
 
 
 def cell(value: object) -> object:

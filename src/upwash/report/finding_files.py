@@ -13,8 +13,9 @@ import msgspec
 
 from upwash.report.crops import crop_of
 from upwash.report.exports import cell
-from upwash.report.numbering import FlightFindings, PlacedFinding, placed
+from upwash.report.numbering import FlightFindings, PlacedFinding
 from upwash.report.photos import PhotoShelf
+from upwash.report.reviewed import reviewed
 from upwash.support.text import escaped
 
 Pictures = Mapping[int, str]  # by the findings' places in the list, counted from 0: the name of the file
@@ -26,12 +27,15 @@ _WRITTEN = (1980, 1, 1, 0, 0, 0)  # the same findings make the same file
 _COLUMNS = (
     "number", "log", "drone", "label", "score", "sightings", "waypoint", "t_s", "time",
     "latitude_deg", "longitude_deg", "east_m", "north_m", "error_m", "place_is",
-    "photo", "left_px", "top_px", "width_px", "height_px", "picture",
+    "photo", "left_px", "top_px", "width_px", "height_px", "picture", "review", "reviewer", "note",
 )  # fmt: skip
 
 
-def as_csv(findings: Sequence[PlacedFinding], pictures: Pictures | None = None) -> str:
-    """A row a finding; a cell is empty where a value is not known."""
+def as_csv(findings: Sequence[PlacedFinding], pictures: Pictures | None = None, reviewed: str = "") -> str:
+    """A row a finding; a cell is empty where a value is not known.
+
+    How many are `reviewed` has no place in a table.
+    """
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(_COLUMNS)
@@ -40,22 +44,33 @@ def as_csv(findings: Sequence[PlacedFinding], pictures: Pictures | None = None) 
     return text.getvalue()
 
 
-def as_geojson(findings: Sequence[PlacedFinding], pictures: Pictures | None = None) -> str:
-    """A feature a finding (RFC 7946), without a geometry where its coordinates are not known."""
+def as_geojson(
+    findings: Sequence[PlacedFinding], pictures: Pictures | None = None, reviewed: str = ""
+) -> str:
+    """A feature a finding (RFC 7946), without a geometry where its coordinates are not known.
+
+    The collection says how many are `reviewed`, unless that is empty.
+    """
     features = []
     for facts in _facts(findings, pictures):
         place = [facts.pop("longitude_deg"), facts.pop("latitude_deg")]
         known = {name: value for name, value in facts.items() if value is not None}
         point = None if None in place else {"type": "Point", "coordinates": place}
         features.append({"type": "Feature", "geometry": point, "properties": {"kind": "finding", **known}})
-    return msgspec.json.encode({"type": "FeatureCollection", "features": features}).decode()
+    told = {"reviewed": reviewed} if reviewed else {}
+    return msgspec.json.encode({"type": "FeatureCollection", **told, "features": features}).decode()
 
 
-def as_kml(findings: Sequence[PlacedFinding], pictures: Pictures | None = None) -> str:
-    """A placemark a finding (KML 2.2), without a point where its coordinates are not known."""
+def as_kml(findings: Sequence[PlacedFinding], pictures: Pictures | None = None, reviewed: str = "") -> str:
+    """A placemark a finding (KML 2.2), without a point where its coordinates are not known.
+
+    The document says how many are `reviewed`, unless that is empty.
+    """
     root = ElementTree.Element("kml", xmlns=_KML)
     document = ElementTree.SubElement(root, "Document")
     _say(document, "name", "Findings")
+    if reviewed:
+        _say(document, "description", reviewed)
     for facts in _facts(findings, pictures):
         placemark = ElementTree.SubElement(document, "Placemark")
         _say(placemark, "name", f"{facts['number']}: {facts['label']}")
@@ -72,7 +87,7 @@ def as_kml(findings: Sequence[PlacedFinding], pictures: Pictures | None = None) 
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def as_zip(findings: Sequence[PlacedFinding], shelf: PhotoShelf) -> bytes:
+def as_zip(findings: Sequence[PlacedFinding], shelf: PhotoShelf, reviewed: str = "") -> bytes:
     """All three, and a picture of each finding that has one, of the first 1,000 at most."""
     pictures, file = dict[int, str](), io.BytesIO()
     are_one_list = len({finding.number for finding in findings}) == len(findings)
@@ -89,11 +104,11 @@ def as_zip(findings: Sequence[PlacedFinding], shelf: PhotoShelf) -> bytes:
                 pictures[index] = f"pictures/{prefix}{finding.number}.jpg"
                 add(pictures[index], jpeg, zipfile.ZIP_STORED)
         for name, write in _TEXTS.items():
-            add(f"findings.{name}", write(findings, pictures), zipfile.ZIP_DEFLATED)
+            add(f"findings.{name}", write(findings, pictures, reviewed), zipfile.ZIP_DEFLATED)
     return file.getvalue()
 
 
-_TEXTS: dict[str, Callable[[Sequence[PlacedFinding], Pictures | None], str]] = {
+_TEXTS: dict[str, Callable[[Sequence[PlacedFinding], Pictures | None, str], str]] = {
     "csv": as_csv,
     "geojson": as_geojson,
     "kml": as_kml,
@@ -107,18 +122,27 @@ FORMATS = {
 
 
 def findings_file(name: str, flights: Sequence[FlightFindings], shelf: PhotoShelf) -> bytes:
-    """The findings of these flights in a format, which is a key of FORMATS."""
-    findings = placed(flights)
-    return as_zip(findings, shelf) if name == "zip" else _TEXTS[name](findings, None).encode()
+    """The findings of these flights as their reviews have them, in a format, which is a key of FORMATS."""
+    found = reviewed(flights)
+    if name == "zip":
+        return as_zip(found.objects, shelf, found.tally.words)
+    return _TEXTS[name](found.objects, None, found.tally.words).encode()
 
 
 def _facts(findings: Sequence[PlacedFinding], pictures: Pictures | None) -> Iterator[dict[str, Any]]:
     for index, each in enumerate(findings):
-        yield {**facts_of(each), "picture": (pictures or {}).get(index)}
+        review = each.review
+        yield {
+            **facts_of(each),
+            "picture": (pictures or {}).get(index),
+            "review": review.verdict.value if review else None,
+            "reviewer": (review.reviewer if review else "") or None,
+            "note": each.note or None,
+        }
 
 
 def facts_of(found: PlacedFinding) -> dict[str, Any]:
-    """The values of a finding by the names of the columns, without `picture`; None if unknown."""
+    """The values of a finding by the names of the columns up to `height_px`; None if unknown."""
     finding, box = found.finding, found.finding.box
     latitude_deg, longitude_deg = found.earth or (None, None)
     return {

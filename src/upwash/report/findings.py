@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from sys import intern
+
+import msgspec
 
 from upwash.core.camera.georeference import PhotoGeometry, Place, Sight, Unplaced
 from upwash.core.geo import GeoPosition, LocalFrame, Position
@@ -13,6 +15,7 @@ from upwash.eventlog.narration import in_one_line
 from upwash.eventlog.objects import Outline, found_objects
 from upwash.eventlog.schema import Event
 from upwash.report.photos import Shot
+from upwash.report.reviews import FindingKey
 from upwash.support.text import printable
 
 MOST_PICTURED = 60  # findings on a report's page
@@ -88,7 +91,8 @@ class Finding:
     """One object in a message to the user, with its box; or a result without boxes. `at_s` is its second of the log.
 
     `named` is the place that the mission gave with the message, `photo` what the message is about, None before the
-    first photo. `own` is where the object itself lies, None if unknown; `unplaced` says why.
+    first photo. `own` is where the object itself lies, None if unknown; `unplaced` says why. `message` is the number
+    of the message in the run and `index` that of the object in the message, both counted from 0.
     """
 
     at_s: float
@@ -100,6 +104,18 @@ class Finding:
     photo: TakenPhoto | None
     own: Place | None = None
     unplaced: str = ""
+    message: int = 0
+    index: int = 0
+
+    @property
+    def key(self) -> FindingKey:
+        """What names it in reviews."""
+        return FindingKey(self.at_s, self.message, self.index)
+
+    def labelled(self, label: str) -> Finding:
+        """The same finding under another label."""
+        box = None if self.box is None else msgspec.structs.replace(self.box, label=label)
+        return replace(self, what=label, box=box)
 
     @property
     def words(self) -> str:
@@ -154,20 +170,25 @@ class Finder:
         self._with_texts = with_texts
         self.pairing = Pairing()
         self._is_over = False
+        self._messages = 0
         self._sight: tuple[TakenPhoto | None, Sight | Unplaced] = None, Unplaced(_NO_LENS)
 
     def take(self, event: Event) -> Sequence[Finding]:
         """What the next event tells of."""
         self.pairing.take(event)
         self._is_over |= isinstance(event, schema.MissionCompleted)
-        if not isinstance(event, schema.Notified) or not event.message or self._is_over:
+        if not isinstance(event, schema.Notified):
+            return ()
+        number = self._messages
+        self._messages += 1
+        if not event.message or self._is_over:
             return ()
         if isinstance(event.message, str) and not self._with_texts:
             return ()
         photo = self.pairing.told_of
         boxes = found_objects(event.message)
         told = []
-        for box in [None] if boxes is None else boxes:
+        for index, box in enumerate([None] if boxes is None else boxes):
             what = box.label if box else in_one_line(event.message)
             place = Unplaced("") if box is None else self._place_of(box, photo)
             told.append(
@@ -181,6 +202,8 @@ class Finder:
                     photo=photo,
                     own=place if isinstance(place, Place) else None,
                     unplaced=place.why if isinstance(place, Unplaced) else "",
+                    message=number,
+                    index=index,
                 )
             )
         self.found += told

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
 
 from upwash.eventlog.objects import Outline
 from upwash.eventlog.progress import clock
@@ -13,6 +12,7 @@ from upwash.report.findings import MOST_PICTURED
 from upwash.report.markup import Markup, element, joined
 from upwash.report.numbering import PlacedFinding
 from upwash.report.photos import PhotoShelf
+from upwash.report.reviewed import ReviewedFindings
 from upwash.support.text import printable
 
 _WITHOUT = (
@@ -27,10 +27,12 @@ def in_document(jpeg: bytes) -> str:
     return f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}"
 
 
-def draw_findings(
-    found: Sequence[PlacedFinding], shelf: PhotoShelf, *, most: int, whose: bool = False
-) -> Markup:
-    """Pictures of at most `most` boxes, and a table of all; `whose` says that each has the name of its flight."""
+def draw_findings(reviewed: ReviewedFindings, shelf: PhotoShelf, *, most: int, whose: bool = False) -> Markup:
+    """Pictures of at most `most` boxes, and a table of all; `whose` says that each has the name of its flight.
+
+    Rejected findings are left out; a sentence says how many were reviewed.
+    """
+    found, tally = reviewed.objects, reviewed.tally
     pictures: list[Markup] = []
     lacking = False
     for each in found[:MOST_PICTURED]:
@@ -40,7 +42,8 @@ def draw_findings(
             if crop is not None:
                 drawn = outlined(each.finding.box, crop, f"crop-{each.best[0]}-{each.best[1]}")
                 pictures.append(_picture(each, drawn, whose=whose))
-    notes = []
+    notes = [_note(f"{tally.words}.")] if tally.words else []
+    notes += [_note(f"{remark[:1].upper()}{remark[1:]}.") for remark in tally.remarks]
     if len(pictures) >= most:
         notes.append(_note(f"No more than {most} pictures are shown; the table has every finding."))
     elif lacking:
@@ -71,6 +74,7 @@ def _picture(found: PlacedFinding, drawn: Markup, *, whose: bool) -> Markup:
         f"{flight}{where}at {clock(found.mission_s)}",
         element("br"),
         tables.coordinates(found),
+        *((element("br"), element("bdi", found.note)) if found.note else ()),
     )
     return element("li", element("figure", drawn, caption))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from typing import TypeAlias
@@ -14,6 +14,7 @@ from upwash.core.camera.georeference import Place
 from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.report.catalogue import Catalogue, Shift, Sighting
 from upwash.report.findings import Finding
+from upwash.report.reviews import NO_REVIEWS, Review, Reviews, Verdict
 from upwash.support.text import counted, printable
 
 _FAULTS = {
@@ -40,6 +41,7 @@ class FlightFindings:
     began_s: float
     home: GeoPosition | None
     found: Sequence[Finding]
+    reviews: Reviews = NO_REVIEWS
 
     def time_of_day(self, at_s: float) -> datetime | None:
         """The time of day (UTC) at that second of the log, None if unknown."""
@@ -57,6 +59,7 @@ class PlacedFinding:
 
     `finding` is the surest of its `sightings`, on `flight`, with the place by all of them. `best` says where that
     sighting stands, the index of its flight and of the finding there; `first` says the same of the first sighting.
+    `reviews` are those of all sightings, in their order.
     """
 
     number: int
@@ -65,6 +68,48 @@ class PlacedFinding:
     sightings: int = 1
     best: _Key = (0, 0)
     first: _Key = (0, 0)
+    reviews: Sequence[Review] = ()
+
+    @property
+    def review(self) -> Review | None:
+        """The last review, which counts; None for a finding without reviews."""
+        return self.reviews[-1] if self.reviews else None
+
+    @property
+    def is_reviewed(self) -> bool:
+        """Whether it is accepted or rejected."""
+        return self.review is not None and self.review.is_decided
+
+    @property
+    def is_accepted(self) -> bool:
+        """Whether it is accepted."""
+        return self.review is not None and self.review.verdict is Verdict.ACCEPTED
+
+    @property
+    def is_rejected(self) -> bool:
+        """Whether it is rejected."""
+        return self.review is not None and self.review.verdict is Verdict.REJECTED
+
+    @property
+    def note(self) -> str:
+        """The note of the last review."""
+        return self.review.note if self.review else ""
+
+    def sighting(self, finding: Finding) -> Finding:
+        """One of its sightings, under the label that the last review gave."""
+        label = self.review.label if self.review else ""
+        return finding.labelled(label) if label else finding
+
+    @property
+    def verdicts(self) -> Mapping[str, Review]:
+        """The last review of each reviewer, by the name, of those that have decided."""
+        last = {review.reviewer: review for review in self.reviews}
+        return {name: review for name, review in last.items() if review.is_decided}
+
+    @property
+    def is_disputed(self) -> bool:
+        """Whether reviewers have decided about it in different ways."""
+        return len({(review.verdict, review.label) for review in self.verdicts.values()}) > 1
 
     @property
     def mission_s(self) -> float:
@@ -84,10 +129,13 @@ class PlacedFinding:
 
 @dataclass(frozen=True, slots=True)
 class Numbered:
-    """Findings of flights as objects, in the order of their numbers, and the number of each finding by flight."""
+    """Findings of flights as objects, in the order of their numbers.
+
+    `positions` has the place of each finding's object among `objects`, by flight.
+    """
 
     objects: Sequence[PlacedFinding]
-    numbers: Sequence[Sequence[int]]
+    positions: Sequence[Sequence[int]]
 
 
 def are_a_fleet(drones: Sequence[str | None]) -> bool:
@@ -103,37 +151,31 @@ def numbered(flights: Sequence[FlightFindings]) -> Numbered:
     """
     if are_a_fleet([flight.drone for flight in flights]):
         return _numbered(flights)
-    parts = [_numbered([flight]) for flight in flights]
-    return Numbered(
-        [
+    objects, positions = list[PlacedFinding](), list[Sequence[int]]()
+    for index, part in enumerate(_numbered([flight]) for flight in flights):
+        positions += [[len(objects) + position for position in own] for own in part.positions]
+        objects += [
             replace(found, best=(index, found.best[1]), first=(index, found.first[1]))
-            for index, part in enumerate(parts)
             for found in part.objects
-        ],
-        [numbers for part in parts for numbers in part.numbers],
-    )
-
-
-def placed(flights: Sequence[FlightFindings]) -> list[PlacedFinding]:
-    """The objects by their numbers; those of one drone's flights flight after flight."""
-    return list(numbered(flights).objects)
+        ]
+    return Numbered(objects, positions)
 
 
 def _numbered(flights: Sequence[FlightFindings]) -> Numbered:
     order = list(heapq.merge(*map(_told_at, flights, range(len(flights)))))
     groups = _groups(flights, [(flight, index) for _, flight, index in order])
-    numbers = [[0] * len(flight.found) for flight in flights]
+    positions = [[0] * len(flight.found) for flight in flights]
     objects = []
-    for number, (keys, place) in enumerate(groups, start=1):
+    for position, (keys, place) in enumerate(groups):
         for flight, index in keys:
-            numbers[flight][index] = number
+            positions[flight][index] = position
         best = max(keys, key=lambda key: sureness(flights[key[0]].found[key[1]]))
         finding = flights[best[0]].found[best[1]]
         if place is not None:
             east_m, north_m = offset_m(flights, best[0])
             finding = replace(finding, own=place.moved(-east_m, -north_m))
-        objects.append(PlacedFinding(number, flights[best[0]], finding, len(keys), best, keys[0]))
-    return Numbered(objects, numbers)
+        objects.append(PlacedFinding(position + 1, flights[best[0]], finding, len(keys), best, keys[0]))
+    return Numbered(objects, positions)
 
 
 def _groups(

@@ -21,8 +21,10 @@ from upwash.eventlog.schema import Event
 from upwash.report.findings import Finder, Finding
 from upwash.report.going import OpenAnswer, OpenAnswers
 from upwash.report.notices import Notices, NoticesTaken
-from upwash.report.numbering import FlightFindings, PlacedFinding, placed
+from upwash.report.numbering import FlightFindings, PlacedFinding
 from upwash.report.outcome import UNPLANNED, Outcome
+from upwash.report.reviewed import ReviewedFindings, reviewed
+from upwash.report.reviews import NO_REVIEWS, Reviews, read_reviews
 from upwash.support.progress import work
 from upwash.support.text import by_name
 
@@ -131,6 +133,7 @@ class Record:
     stretches: Mapping[str, Sequence[Stretch]]
     notices: Notices
     findings: Sequence[Finding] = ()
+    reviews: Reviews = NO_REVIEWS
     answers: Sequence[OpenAnswer] = ()
     measured: Sequence[tuple[str, schema.MeasuredRecord]] = ()
 
@@ -158,8 +161,10 @@ class Record:
 
     @property
     def found(self) -> FlightFindings:
-        """What was found on the flight."""
-        return FlightFindings(self.name, self.drone, self.opened, self.began_s, self.plan.home, self.findings)
+        """What was found on the flight, with what people decided about it."""
+        return FlightFindings(
+            self.name, self.drone, self.opened, self.began_s, self.plan.home, self.findings, self.reviews
+        )
 
     @property
     def outcome(self) -> Outcome:
@@ -167,20 +172,29 @@ class Record:
         return Outcome(self.name, self.plan, self.result)
 
 
-def read_records(logs: Sequence[Path]) -> list[Record]:
-    """The last run of each log, named after its file; raises UsageError for what is no log of a mission."""
+def read_records(logs: Sequence[Path], *, unreviewed: bool = False) -> list[Record]:
+    """The last run of each log, named after its file; raises UsageError for what is no log of a mission.
+
+    Reviews beside the logs count, except `unreviewed`.
+    """
     names = names_of(logs)
     records = []
     with work("logs read", len(logs)) as done:
         for log, name in zip(logs, names, strict=True):
-            records.append(_record_of_log(EventLog(log), log, name))
+            record = _record_of_log(EventLog(log), log, name)
+            records.append(record if unreviewed else replace(record, reviews=read_reviews(log)))
             done()
     return records
 
 
+def reviewed_of(records: Sequence[Record]) -> ReviewedFindings:
+    """What was found on these flights, with its reviews."""
+    return reviewed([record.found for record in records])
+
+
 def findings_of(records: Sequence[Record]) -> list[PlacedFinding]:
-    """What was found on these flights, each under its number."""
-    return placed([record.found for record in records])
+    """The same as a list, each under its number, without what was rejected."""
+    return reviewed_of(records).objects
 
 
 def record_of(events: Sequence[Event], log: Path) -> Record:

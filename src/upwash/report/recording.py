@@ -24,9 +24,9 @@ from upwash.eventlog.narration import Narrator, Tone
 from upwash.report.camera import photos
 from upwash.report.clock import RecordClock
 from upwash.report.exports import plan_geojson
-from upwash.report.numbering import numbered
+from upwash.report.numbering import PlacedFinding
 from upwash.report.photos import PhotoShelf
-from upwash.report.record import Record
+from upwash.report.record import Record, reviewed_of
 from upwash.report.scene import FRAME, scene
 from upwash.report.series import Plotted, plotted_calls, plotted_states, schema_of
 
@@ -51,8 +51,9 @@ def write_mcap(records: Sequence[Record], *, folder: Path | None = None) -> byte
     """
     shelf = PhotoShelf(folder)
     found: list[tuple[int, str, Recorded]] = []
-    numbers = numbered([record.found for record in records]).numbers
-    for record, own in zip(records, numbers, strict=True):
+    seen = reviewed_of(records)
+    for index, record in enumerate(records):
+        own = [seen.of_finding(index, number) for number in range(len(record.findings))]
         prefix = f"/{record.name}" if len(records) > 1 else ""
         try:
             found += [
@@ -86,10 +87,10 @@ def _encoded(message: Recorded) -> bytes:
 
 
 def _messages(
-    record: Record, numbers: Sequence[int], shelf: PhotoShelf
+    record: Record, objects: Sequence[PlacedFinding], shelf: PhotoShelf
 ) -> Iterator[tuple[int, str, Recorded]]:
     clock = RecordClock(record)
-    for time_ns, message in _shown(record, numbers, clock, shelf):
+    for time_ns, message in _shown(record, objects, clock, shelf):
         yield time_ns, _TOPICS[type(message)], message
     for at_s, call in plotted_calls(record):
         yield clock.ns(at_s), "/calls", call
@@ -98,7 +99,7 @@ def _messages(
 
 
 def _shown(
-    record: Record, numbers: Sequence[int], clock: RecordClock, shelf: PhotoShelf
+    record: Record, objects: Sequence[PlacedFinding], clock: RecordClock, shelf: PhotoShelf
 ) -> Iterator[tuple[int, Message]]:
     for at_s, update in scene(record, clock.time):
         yield clock.ns(at_s), update
@@ -106,7 +107,7 @@ def _shown(
         yield clock.ns(0.0), GeoJson(geojson=plan)
     yield from _fixes(record, clock)
     yield from _lines(record, clock)
-    yield from photos(record, numbers, clock, shelf)
+    yield from photos(record, objects, clock, shelf)
 
 
 def _fixes(record: Record, clock: RecordClock) -> Iterator[tuple[int, Message]]:

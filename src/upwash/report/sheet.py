@@ -14,7 +14,7 @@ from upwash.report.markup import Markup, element, joined
 from upwash.report.numbering import are_a_fleet
 from upwash.report.outcome import lasting, what_it_came_to
 from upwash.report.photos import PhotoShelf
-from upwash.report.record import Record, WorstCall, findings_of
+from upwash.report.record import Record, WorstCall, reviewed_of
 
 _SIDE_BY_SIDE = 3  # flights; more are summed up first, and folded each
 _PICTURES = 60
@@ -86,7 +86,8 @@ class _Found:
 
     def __init__(self, records: Sequence[Record], shelf: PhotoShelf) -> None:
         self._shelf = shelf
-        self._all = findings_of(records)
+        self._all = reviewed_of(records)
+        self._names = [record.name for record in records]
         self._is_fleet = are_a_fleet([record.drone for record in records])
         beside = (
             len(records) if len(records) <= _SIDE_BY_SIDE else sum(bool(each.findings) for each in records)
@@ -95,7 +96,7 @@ class _Found:
 
     def of_fleet(self) -> Sequence[Markup]:
         """The list of the whole fleet; nothing if the flights are no fleet, or found nothing."""
-        if not self._is_fleet or not self._all:
+        if not self._is_fleet or not self._all.everything:
             return []
         drawn = draw_findings(self._all, self._shelf, most=_PICTURES, whose=True)
         return [element("section", element("h2", "Findings"), drawn)]
@@ -106,7 +107,7 @@ class _Found:
         return [_section(told, "Findings", self._of)] if told and not self._is_fleet else []
 
     def _of(self, record: Record) -> Markup:
-        own = [each for each in self._all if each.flight.log == record.name]
+        own = self._all.of_flight(self._names.index(record.name))
         return draw_findings(own, self._shelf, most=self._pictures)
 
 

@@ -11,7 +11,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.progress import clock
 from upwash.eventlog.results import CallResult, mean_local_delay_s
 from upwash.report.going import OpenAnswer
-from upwash.report.markup import Markup, element
+from upwash.report.markup import Markup, element, joined
 from upwash.report.numbering import PlacedFinding
 from upwash.report.record import Record, ReportedCall, Stretch
 from upwash.support.text import counted
@@ -288,15 +288,32 @@ def findings(found: Sequence[PlacedFinding], *, whose: bool = False) -> Markup:
             _at(each.finding.waypoint),
             coordinates(each),
             element("bdi", each.finding.words),  # may be written from right to left
+            *([_reviewed(each)] if are_reviewed else []),
         ]
+
+    are_reviewed = any(each.review for each in found)
 
     return _long(
         "Findings",
-        ["finding", *(["flight"] if whose else []), "at", "waypoint", "place", "what the user was told"],
+        [
+            "finding",
+            *(["flight"] if whose else []),
+            "at",
+            "waypoint",
+            "place",
+            "what the user was told",
+            *(["review"] if are_reviewed else []),
+        ],
         found,
         row,
         rest="--findings FILE writes every finding",
     )
+
+
+def _reviewed(found: PlacedFinding) -> Markup:
+    """The verdict and the note of a finding; empty without them."""
+    verdict = found.review.verdict.value if found.review and found.is_reviewed else ""
+    return joined(verdict, ": " if verdict and found.note else "", element("bdi", found.note))
 
 
 def coordinates(found: PlacedFinding) -> str:

@@ -19,6 +19,7 @@ from upwash.report.crops import crop_of
 from upwash.report.finding_files import FORMATS, findings_file
 from upwash.report.photos import PhotoShelf
 from upwash.support.addresses import names_this_machine
+from upwash.view.desk import Desk
 from upwash.view.document import document, sources
 from upwash.view.feed import Feed
 from upwash.view.story import Story
@@ -39,7 +40,7 @@ _HEADERS = {
 
 
 def application(feed: Feed, photos: PhotoShelf, *, images: Sequence[str] = ()) -> Starlette:
-    """Serves the page of the feed; nothing in it can be changed from outside.
+    """Serves the page of the feed; nothing but reviews of findings can be written, by the page itself.
 
     `images` are the sources, in a policy's words, that browsers may load images from besides.
     """
@@ -88,8 +89,10 @@ def application(feed: Feed, photos: PhotoShelf, *, images: Sequence[str] = ()) -
         }
         return Response(content, media_type=FORMATS[name], headers=saved)
 
+    desk = [Route("/review", Desk(feed, feed.reviewing).take, methods=["POST"])] if feed.reviewing else []
     return Starlette(
         routes=[
+            *desk,
             Route("/", page),
             Route("/events", events),
             Route("/photos/{log:int}/{run:int}/{number:int}.jpg", photo),

@@ -6,7 +6,7 @@ import asyncio
 import secrets
 import time
 from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import msgspec
 
@@ -14,6 +14,8 @@ from upwash.eventlog.results import RunResult
 from upwash.report.numbering import FlightFindings, Numbered, are_a_fleet, numbered, offset_m, what_was_found
 from upwash.report.outcome import what_it_came_to
 from upwash.report.record import names_of
+from upwash.report.reviewed import ReviewedFindings, with_reviews
+from upwash.report.reviews import FindingKey, Review, ReviewsBeside, Verdict, review_file
 from upwash.view.elsewhere import Elsewhere, elsewhere
 from upwash.view.recording import Piece, Recording, as_one
 from upwash.view.tiles import Tiles
@@ -24,12 +26,25 @@ _BATCH_BYTES = 2**18  # of facts, which are sent at once
 _RETRY_MS = 1000  # after which a page that lost its connection tries again
 
 
+class Reviewing(msgspec.Struct, frozen=True):
+    """What a page sends with a review: the `token` that only this program's page has, and a name for the reviewer."""
+
+    token: str
+    reviewer: str
+
+
 class Page(msgspec.Struct, frozen=True):
-    """What a page is to be about: `together` says whether the logs are of several drones, to be shown on one map."""
+    """What a page shows: `together` says whether the logs are of several drones, to be shown on one map.
+
+    `review_files` are the names of the files that have the logs' reviews. Without `reviewing` no program keeps
+    reviews that are made on the page.
+    """
 
     logs: Sequence[str]
     together: bool
     tiles: Tiles | None
+    review_files: Sequence[str]
+    reviewing: Reviewing | None
 
 
 class Batch(msgspec.Struct, frozen=True):
@@ -47,7 +62,10 @@ class Batch(msgspec.Struct, frozen=True):
 
 
 class SeenObject(msgspec.Struct, frozen=True):
-    """An object by all its sightings; `best` has the log and the index of the surest one, `surest` its score."""
+    """An object by all its sightings; `best` has the log and the index of the surest one, `surest` its score.
+
+    `key` names it in reviews.
+    """
 
     sightings: int
     surest: float | None
@@ -55,25 +73,39 @@ class SeenObject(msgspec.Struct, frozen=True):
     north_m: float
     error_m: float | None
     best: tuple[int, int]
+    key: FindingKey
+
+
+class SeenReview(msgspec.Struct, frozen=True):
+    """What the last review of an object says."""
+
+    verdict: Verdict
+    label: str
+    note: str
+    reviewer: str
 
 
 class Found(msgspec.Struct, frozen=True):
     """What was found on the flight of a log, or on all of a fleet, in a sentence; and the numbers of the log's own.
 
-    `objects` has the objects that this log saw first, by the index of their first sighting.
+    `objects` has the objects that this log saw first, by the index of their first sighting. `reviews` are by number;
+    `remarks` are sentences about them.
     """
 
     words: str
     numbers: Sequence[int]
     objects: Mapping[int, SeenObject]
+    reviews: Mapping[int, SeenReview]
+    remarks: Sequence[str]
 
 
-def _found(flights: Sequence[FlightFindings], found: Numbered, log: int, *, is_a_fleet: bool) -> Found:
+def _found(found: ReviewedFindings, log: int, *, is_a_fleet: bool) -> Found:
     """What was found on the flight of that log, as one page says it."""
-    own = [each for each in found.objects if each.first[0] == log]
+    flights = found.flights
+    own = found.of_flight(log)
     here = offset_m(flights, log) if is_a_fleet else (0.0, 0.0)
     objects = {}
-    for each in own:
+    for each in own.everything:
         there = offset_m(flights, each.best[0]) if is_a_fleet else here
         place = each.finding.place
         objects[each.first[1]] = SeenObject(
@@ -83,9 +115,20 @@ def _found(flights: Sequence[FlightFindings], found: Numbered, log: int, *, is_a
             place.north_m + there[1] - here[1],
             each.finding.error_m,
             each.best,
+            flights[log].found[each.first[1]].key,
         )
-    told = found.objects if is_a_fleet else own
-    return Found(what_was_found(each.finding for each in told), found.numbers[log], objects)
+    told = found if is_a_fleet else own
+    return Found(
+        what_was_found(each.finding for each in told.objects),
+        [found.everything[position].number for position in found.positions[log]],
+        objects,
+        {each.number: _seen_review(each.review) for each in told.everything if each.review},
+        told.tally.remarks,
+    )
+
+
+def _seen_review(review: Review) -> SeenReview:
+    return SeenReview(review.verdict, review.label, review.note, review.reviewer)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +149,9 @@ class Feed:
         recordings: Sequence[Recording],
         tiles: Tiles | None = None,
         flown: Mapping[str, RunResult] | None = None,
+        *,
+        reviewing: Reviewing | None = None,
+        unreviewed: bool = False,
     ) -> None:
         self.recordings = list(recordings)
         self._names = names_of([recording.log for recording in recordings])
@@ -115,8 +161,11 @@ class Feed:
         self._identity = secrets.token_hex(4)  # so that no page takes this feed for one before it
         self._summaries: dict[int, str] = {}
         self._summarized: dict[int, int] = {}
+        self.reviewing = reviewing
+        self._reviews = [] if unreviewed else [ReviewsBeside(recording.log) for recording in recordings]
         self._found = list[Found]()
-        self._numbered: list[tuple[int, int]] = []
+        self._counted: list[tuple[int, int]] = []
+        self._numbered: tuple[list[FlightFindings], Numbered] = [], Numbered((), ())
         self._next_numbering_s = 0.0
         self._closing = self._closed = False
         self._news = asyncio.Event()
@@ -170,25 +219,46 @@ class Feed:
 
     @property
     def flights(self) -> list[FlightFindings]:
-        """The findings of each flight until now."""
-        return [each.story.flight(name) for each, name in zip(self.recordings, self._names, strict=True)]
+        """The findings of each flight until now, with their reviews."""
+        flights = [each.story.flight(name) for each, name in zip(self.recordings, self._names, strict=True)]
+        return self._with_reviews(flights)
+
+    def _with_reviews(self, flights: list[FlightFindings]) -> list[FlightFindings]:
+        if not self._reviews:
+            return flights
+        return [
+            replace(flight, reviews=beside.reviews)
+            for flight, beside in zip(flights, self._reviews, strict=True)
+        ]
 
     def _number(self, *, at_once: bool = True) -> bool:
-        """Numbers what was found, once all logs are read to their ends; returns whether a finding is new.
+        """Numbers what was found, once all logs are read to their ends, and looks at the reviews.
 
-        Thousands of sightings take a second to join: unless `at_once`, that may fill a twentieth of the time.
+        Returns whether a finding or a review is new. Thousands of sightings take a second to join: unless `at_once`,
+        that may fill a twentieth of the time.
         """
+        if any(recording.is_behind for recording in self.recordings):
+            return False
+        is_new = self._join(at_once=at_once)
+        looks = [beside.look() for beside in self._reviews]
+        if not is_new and not any(looks):
+            return False
+        flights, found = self._numbered
+        told = with_reviews(found, self._with_reviews(flights))
+        is_a_fleet = _are_of_several_drones(self.recordings)
+        self._found = [_found(told, log, is_a_fleet=is_a_fleet) for log in range(len(flights))]
+        return True
+
+    def _join(self, *, at_once: bool) -> bool:
+        """Joins the sightings of what was found; returns whether a finding is new."""
         began_s = time.monotonic()
-        if any(recording.is_behind for recording in self.recordings) or (
-            began_s < self._next_numbering_s and not at_once
-        ):
+        if began_s < self._next_numbering_s and not at_once:
             return False
         count = [(recording.run, len(recording.story.found)) for recording in self.recordings]
-        if count == self._numbered:
+        if count == self._counted:
             return False
-        self._numbered, flights = count, self.flights
-        found, is_a_fleet = numbered(flights), _are_of_several_drones(self.recordings)
-        self._found = [_found(flights, found, log, is_a_fleet=is_a_fleet) for log in range(len(flights))]
+        flights = self.flights
+        self._counted, self._numbered = count, (flights, numbered(flights))
         ended_s = time.monotonic()
         self._next_numbering_s = ended_s + _REST * (ended_s - began_s)
         return True
@@ -209,7 +279,8 @@ class Feed:
         yield "end", None
 
     def _page(self) -> Page:
-        return Page(self._names, _are_of_several_drones(self.recordings), self._tiles)
+        files = [review_file(recording.log).name for recording in self.recordings]
+        return Page(self._names, _are_of_several_drones(self.recordings), self._tiles, files, self.reviewing)
 
     async def messages(self, after: str = "") -> AsyncIterator[str]:
         """The events for one page, until the feed is closed; `after` is the id of the last one that it has."""

@@ -13,7 +13,7 @@ from upwash.report.crops import shrunk
 from upwash.report.finding_files import as_csv, as_geojson, as_kml
 from upwash.report.gallery import in_document
 from upwash.report.photos import PhotoShelf, Shot
-from upwash.report.record import Record, findings_of
+from upwash.report.record import Record, reviewed_of
 from upwash.report.sheet import draw_sheet
 from upwash.support.text import counted
 from upwash.view.document import document
@@ -61,17 +61,19 @@ def write_page(
     *,
     photos: Path | None = None,
     flown: Mapping[str, RunResult] | None = None,
+    unreviewed: bool = False,
 ) -> Iterator[bytes]:
     """The page about these logs, whose records these are, piece by piece.
 
     Photos are of that folder where the logs name them, and rendered ones. `flown` is what other policies did in the
-    world of the one log, by name. Raises UsageError for what is no event log.
+    world of the one log, by name. Reviews count, except `unreviewed`, which the records must be too. Raises
+    UsageError for what is no event log.
     """
     names = ", ".join(record.name for record in records)
     title = f"Flight report: {names if len(records) <= _SIDE_BY_SIDE else counted(len(records), 'flight')}"
     begin, end = document(title, policy=_POLICY)
     yield begin.encode()
-    yield from _content(logs, records, photos, flown)
+    yield from _content(logs, records, photos, flown, unreviewed=unreviewed)
     yield end.encode()
 
 
@@ -80,24 +82,28 @@ def _content(
     records: Sequence[Record],
     photos: Path | None,
     flown: Mapping[str, RunResult] | None,
+    *,
+    unreviewed: bool,
 ) -> Iterator[bytes]:
     found = [finding.photo.shot for record in records for finding in record.findings if finding.photo]
     album = _Album(photos, itertools.islice(dict.fromkeys(found), _PHOTOS))
     yield draw_sheet(records, album).encode()
     yield from _data("files", [msgspec.json.encode(_files(records))])  # before the facts need memory
     with reading(logs, album.keeps, most_bytes=_MOST_BYTES // len(logs)) as recordings:
-        yield from _data("told", _items(Feed(recordings, flown=flown).everything()))
+        feed = Feed(recordings, flown=flown, unreviewed=unreviewed)
+        yield from _data("told", _items(feed.everything()))
         shown = itertools.islice(_photos(recordings, album), _PHOTOS)
         yield from _data("photos", _members(shown))
 
 
 def _files(records: Sequence[Record]) -> dict[str, str]:
     """The files that the page has of what was found, by name."""
-    found = findings_of(records)
+    reviewed = reviewed_of(records)
+    found, words = reviewed.objects, reviewed.tally.words
     if len(found) > _FILED:
         return {}
-    files = {"csv": as_csv(found), "geojson": as_geojson(found), "kml": as_kml(found)}
-    return {f"findings.{format_}": text for format_, text in files.items()}
+    writers = {"csv": as_csv, "geojson": as_geojson, "kml": as_kml}
+    return {f"findings.{format_}": write(found, None, words) for format_, write in writers.items()}
 
 
 def _photos(recordings: Sequence[Recording], album: _Album) -> Iterator[tuple[str, _Photo]]:

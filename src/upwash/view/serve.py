@@ -18,6 +18,7 @@ from upwash.real.host.signals import stopping_politely
 from upwash.report.photos import PhotoShelf
 from upwash.support.background import beside
 from upwash.view.app import application
+from upwash.view.desk import new_reviewing
 from upwash.view.feed import Feed
 from upwash.view.recording import reading
 from upwash.view.tiles import Tiles
@@ -75,7 +76,7 @@ async def serve_view(
     """
     shelf = PhotoShelf(photos)
     with reading(logs, shelf.keeps) as recordings, _listening(port) as listener:
-        feed = Feed(recordings, tiles, flown)
+        feed = Feed(recordings, tiles, flown, reviewing=new_reviewing())
         server = _Server(
             uvicorn.Config(
                 application(feed, shelf, images=tiles.sources if tiles else ()),
@@ -84,6 +85,7 @@ async def serve_view(
                 lifespan="off",
                 log_level="warning",
                 access_log=False,
+                proxy_headers=False,  # any program can send them
                 server_header=False,
                 timeout_graceful_shutdown=_GOODBYE_S,
             )

@@ -129,6 +129,7 @@ def _facts(survey: Survey, maps: Sequence[SiteMap]) -> Markup:
     if 1 < len(survey.flights) <= _MOST_FLIGHTS:
         facts += [(f"Flight {number}", _flight(each)) for number, each in enumerate(survey.flights, start=1)]
     facts.append(("Found", counted(len(survey.objects), "object") if survey.objects else "nothing"))
+    facts += [("Reviewed", survey.tally.words)] if survey.tally.words else []
     return element(
         "dl",
         *(joined(element("dt", name), element("dd", element("bdi", value))) for name, value in facts),

@@ -10,6 +10,7 @@ from upwash.report.client.survey import Inspected, Look, Survey
 from upwash.report.client.words import Word, Words
 from upwash.report.gallery import outlined
 from upwash.report.markup import Markup, element, joined
+from upwash.report.numbering import PlacedFinding
 from upwash.report.tables import scrolled
 from upwash.support.text import counted, printable
 
@@ -124,7 +125,7 @@ def _row(each: Inspected, words: Words, *, ground: bool, linked: bool) -> Markup
         element(
             "th", element("a", each.name, href=f"#object-{each.name}") if linked else each.name, scope="row"
         ),
-        element("td", _worded(word.name), class_="words"),
+        element("td", _worded(word.name), *_note(found), class_="words"),
         *([element("td", _worded(word.severity), class_="words")] if words.severities else []),
         *(element("td", figure, class_="figures") for figure in figures),
     )
@@ -163,7 +164,7 @@ class _Cards:
             element(
                 "header",
                 element("h3", _badge(each.name, word.colour), _worded(word.name), *severity),
-                element("p", "; ".join(_facts(each)), class_="soft"),
+                element("p", "; ".join(_facts(each)), *_note(each.found), class_="soft"),
             ),
             element("div", *figures, *self._photo(each.looks[0]), class_="looks"),
             class_="object",
@@ -199,6 +200,11 @@ def _facts(each: Inspected) -> Iterator[str]:
     if finding.own is not None and finding.own.assumes:
         yield f"assuming {finding.own.assumes}"
     yield counted(found.sightings, "sighting")
+
+
+def _note(found: PlacedFinding) -> Sequence[Markup]:
+    """What the person who reviewed the object wrote, on a line of its own."""
+    return [element("br"), element("bdi", printable(found.note))] if found.note else []
 
 
 def _figure(picture: Markup, caption: str) -> Markup:

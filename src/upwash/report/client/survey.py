@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import TypeAlias
@@ -12,8 +12,9 @@ from upwash.core.camera.georeference import Ground
 from upwash.eventlog import schema
 from upwash.eventlog.progress import clock
 from upwash.report.findings import Finding, Pairing, TakenPhoto
-from upwash.report.numbering import PlacedFinding, are_a_fleet, numbered, offset_m, sureness
-from upwash.report.record import Record
+from upwash.report.numbering import PlacedFinding, are_a_fleet, offset_m, sureness
+from upwash.report.record import Record, reviewed_of
+from upwash.report.reviewed import Tally
 
 PhotoKey: TypeAlias = tuple[int, int]  # the flight, and the photo's number there
 
@@ -61,11 +62,16 @@ class Inspected:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """The flights, and what was found on them: under one list of numbers, or flight by flight."""
+    """The flights, and what was found on them: under one list of numbers, or flight by flight.
+
+    `tally` says how much of it was reviewed.
+    """
 
     flights: Sequence[Flown]
     objects: Sequence[Inspected]
+    with_findings: Set[PhotoKey]  # the photos
     are_one_list: bool
+    tally: Tally
 
     @property
     def photographs(self) -> list[Photograph]:
@@ -90,16 +96,6 @@ class Survey:
         place = self.flights[key[0]].photographs[key[1]].taken.shot.position
         return self.named(key) + ("" if place is None else f", from {place.altitude_m:.0f} m")
 
-    @property
-    def with_findings(self) -> set[PhotoKey]:
-        """The photos with findings."""
-        return {
-            (index, finding.photo.number)
-            for index, flight in enumerate(self.flights)
-            for finding in flight.record.findings
-            if finding.photo is not None
-        }
-
     def corners_m(self, photo: Photograph, first: int) -> list[tuple[float, float]]:
         """The photo's corners on the ground, east and north of that flight's home; none if unknown."""
         east_m, north_m = self.offset_m(photo.key[0], first)
@@ -111,23 +107,26 @@ class Survey:
 
 
 def survey_of(records: Sequence[Record]) -> Survey:
-    """The flights of these records as the client's document tells them."""
-    flights = [record.found for record in records]
-    found = numbered(flights)
-    are_one_list = len(flights) == 1 or are_a_fleet([flight.drone for flight in flights])
-    sightings: dict[tuple[int, int], list[Look]] = defaultdict(list)
-    for flight, (each, numbers) in enumerate(zip(flights, found.numbers, strict=True)):
-        for finding, number in zip(each.found, numbers, strict=True):
-            if finding.photo is not None and finding.box is not None:
-                key = 0 if are_one_list else flight, number
-                sightings[key].append(Look(finding, (flight, finding.photo.number)))
+    """The flights of these records as the client's document tells them, without rejected findings."""
+    found = reviewed_of(records)
+    are_one_list = len(records) == 1 or are_a_fleet([flight.drone for flight in found.flights])
+    looks: dict[int, list[Look]] = defaultdict(list)
+    with_findings = set[PhotoKey]()
+    for number, flight in enumerate(found.flights):
+        for finding, position in zip(flight.found, found.positions[number], strict=True):
+            of = found.everything[position]
+            if finding.photo is None or of.is_rejected:
+                continue
+            with_findings.add((number, finding.photo.number))
+            if finding.box is not None:
+                looks[position].append(Look(of.sighting(finding), (number, finding.photo.number)))
     objects = []
-    for placed in found.objects:
-        flight, number = placed.best[0], placed.number
-        name = str(number) if are_one_list else f"{flight + 1}-{number}"
-        own = sightings[0 if are_one_list else flight, number]
-        objects.append(Inspected(name, placed, _best_looks(own)))
-    return Survey([_flown(index, record) for index, record in enumerate(records)], objects, are_one_list)
+    for position, of in enumerate(found.everything):
+        if not of.is_rejected:
+            name = str(of.number) if are_one_list else f"{of.best[0] + 1}-{of.number}"
+            objects.append(Inspected(name, of, _best_looks(looks[position])))
+    flown = [_flown(number, record) for number, record in enumerate(records)]
+    return Survey(flown, objects, with_findings, are_one_list, found.tally)
 
 
 def _best_looks(sightings: Sequence[Look]) -> list[Look]:

@@ -1,5 +1,6 @@
 // The stories as they come from the server or are in the document.
 
+import { Desk } from "./desk.js";
 import { Story } from "./story.js";
 
 const LOST = "The connection to the program behind this page is lost; trying again.";
@@ -7,6 +8,7 @@ const ENDED = "The program behind this page has ended. What it told is still her
 
 export class Feed {
   #hear;
+  #desk;
 
   constructor({ opened, grown, summarized, said }) {
     this.stories = [];
@@ -15,8 +17,9 @@ export class Feed {
       page: (page) => {
         if (this.stories.length === 0) {
           this.stories = page.logs.map((name) => new Story(name));
-          opened(this.stories, page);
-        }
+          this.#desk = new Desk(page);
+          opened(this.stories, page, this.#desk);
+        } else this.#desk.renew(page);
         said("");
       },
       facts: (batch) => {
@@ -34,6 +37,7 @@ export class Feed {
       },
       end: () => {
         for (const story of this.stories) story.isBehind = story.grows = false;
+        this.#desk.end();
         grown();
       },
     };

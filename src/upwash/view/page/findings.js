@@ -2,27 +2,34 @@
 
 import { badge } from "./badge.js";
 import { card, element, scrolled, write } from "./element.js";
-import { cropOf, filesOfFindings } from "./pictures.js";
+import { wordsOf } from "./found.js";
+import { cropOf, filesOfFindings, loadSeen } from "./pictures.js";
+import { ReviewPanel } from "./review.js";
 
 const [WIDE_PX, HIGH_PX] = [96, 72]; // of a picture
 
 export class Findings {
-  #items = new Map(); // by number: its element in the list, and what writes its words
+  #items = new Map(); // by number: its element in the list, its finding, and what writes its words
   #listed = []; // the findings as they are listed
   #numbered = []; // by story: with which numbers
   #counts = new Map(); // by story: how many lie before the moment
   #selected = null; // the one that was clicked
+  #target = null; // the one that is reviewed, which stays while the moment moves on
+  #focuses = false; // on what is selected, once that is listed
   #current = null;
+  #pointed; // its element
 
   // Of so many logs of one drone or of a fleet; `picked` is told which one is clicked, and of which story it is.
-  constructor(stories, name, { log = 0, picked }) {
+  constructor(stories, name, { log = 0, picked, desk, changed }) {
     this.stories = stories;
     this.log = log; // of the first story
     this.picked = picked;
     this.words = element("p", { class: "sentence" });
     this.list = element("ol", { class: "finds", reversed: "" });
     this.scroller = scrolled(this.list, `Findings, ${name}`);
-    this.element = card("Findings", this.words, this.scroller);
+    const [move, advance] = [(by) => this.#move(by), (target) => this.#advance(target)];
+    this.review = new ReviewPanel(stories, name, desk, { log, move, advance, changed });
+    this.element = card("Findings", this.words, this.review.element, this.scroller);
     this.element.classList.add("findings");
     this.element.querySelector("h3").after(downloads());
   }
@@ -33,12 +40,42 @@ export class Findings {
     this.#list();
     for (const moment of moments) this.#fade(moment);
     this.#point(this.#currentAt(moments[focus]));
+    this.review.show(this.#reviewed);
     return this.#current;
   }
 
   select(story, finding) {
     this.#selected = finding;
+    this.#target = this.#items.get(finding.no) ?? null;
     this.picked(story, finding);
+  }
+
+  // What is reviewed, as long as it has not got lost with the run of a log.
+  get #reviewed() {
+    const { story, finding } = this.#target ?? {};
+    return story?.told[finding.index] === finding ? this.#target : null;
+  }
+
+  // Selects the one that many places further down the list, the first one where none is selected, and puts the focus on it.
+  #move(by) {
+    const at = this.#listed.indexOf(this.#reviewed?.finding);
+    const next = this.#listed[at < 0 ? 0 : Math.max(0, Math.min(at + by, this.#listed.length - 1))];
+    this.#goTo(this.#items.get(next?.no), true);
+  }
+
+  // Selects that one, or else the next one that nobody has reviewed; the focus goes with it, if it was in the list.
+  #advance(target) {
+    const at = this.#listed.indexOf(this.#reviewed?.finding);
+    const order = [...this.#listed.slice(at + 1), ...this.#listed.slice(0, Math.max(0, at))];
+    const next = target ?? this.#items.get(order.find(({ review }) => !review || review.verdict === "open")?.no);
+    this.#goTo(next ?? this.#reviewed, this.list.contains(document.activeElement));
+  }
+
+  #goTo(target, focuses) {
+    if (!target) return;
+    this.#focuses ||= focuses;
+    this.select(target.story, target.finding);
+    this.#target = target;
   }
 
   // Lists what is new, or everything anew where numbers have changed.
@@ -50,46 +87,56 @@ export class Findings {
     const all = stories.flatMap((story, index) => story.numbered.map((finding) => ({ story, index, finding })));
     all.sort((one, other) => other.finding.no - one.finding.no);
     const findings = all.map(({ finding }) => finding);
-    const fresh = findings.length - this.#listed.length;
-    const grew = fresh >= 0 && this.#listed.every((finding, index) => finding === findings[fresh + index]);
-    if (!grew) this.#forget();
-    this.list.prepend(...all.slice(0, grew ? fresh : all.length).map((each) => this.#item(each)));
-    for (const finding of findings) this.#items.get(finding.no).say(finding);
+    const made = new Map([...this.#items.values()].map((each) => [each.finding, each]));
+    const kept = all.map((each) => made.get(each.finding) ?? this.#make(each));
+    this.#items = new Map(kept.map((each) => [each.finding.no, each]));
+    this.#lay(kept.map(({ item }) => item));
+    for (const { say } of kept) say();
     this.list.classList.toggle("pictureless", !findings.some(({ pictured }) => pictured));
     this.#listed = findings;
   }
 
-  #forget() {
-    this.#items.clear();
-    this.#current = null;
-    this.list.replaceChildren();
+  // Puts the items into the list, and moves none that is there: it may have the focus.
+  #lay(items) {
+    const wanted = new Set(items);
+    for (const item of [...this.list.children]) if (!wanted.has(item)) item.remove();
+    let there = this.list.firstElementChild;
+    for (const item of items) {
+      if (item === there) there = there.nextElementSibling;
+      else this.list.insertBefore(item, there);
+    }
   }
 
-  #item({ story, index, finding }) {
+  #make({ story, index, finding }) {
     const where = finding.waypoint === null ? "" : `waypoint ${finding.waypoint} · `;
     const place = `${where}${story.timeOf(finding.at_s)}`;
     const whose = this.stories.length > 1 ? [badge(index + 1), " "] : [];
-    const [found, seen] = [element("bdi"), element("span", { class: "when" })];
+    const [number, found] = [element("span", { class: "number" }), element("bdi")];
+    const [seen, note] = [element("span", { class: "when" }), element("bdi", { class: "when" })];
     const words = element(
       "span",
       { class: "words" },
-      element("span", { class: "number" }, String(finding.no)),
+      number,
       " ",
       found,
       element("span", { class: "when" }, ...whose, place),
+      seen,
+      note,
     );
-    words.append(seen);
-    const say = (object) => {
-      write(found, wordsOf({ ...object, score: object.surest ?? undefined }));
-      write(seen, seenOften(object));
-    };
     const button = element("button", { type: "button", title: "Show its moment, its photo and its place" });
     button.append(picture(this.#cropOf(finding)), words);
     button.addEventListener("click", () => this.select(story, finding));
     const item = element("li", {}, button);
     item.classList.toggle("later", finding.index >= (this.#counts.get(story) ?? 0));
-    this.#items.set(finding.no, { item, say });
-    return item;
+    const say = () => {
+      const verdict = finding.review?.verdict ?? "open";
+      write(number, String(finding.no));
+      write(found, wordsOf({ ...finding, score: finding.surest ?? undefined }));
+      write(seen, seenOften(finding, verdict));
+      write(note, finding.review?.note ?? "");
+      item.classList.toggle("rejected", verdict === "rejected");
+    };
+    return { item, say, story, finding, log: this.log + index };
   }
 
   // The picture of the best sighting, which may be another drone's.
@@ -116,10 +163,12 @@ export class Findings {
   }
 
   #point(current) {
-    if (current === this.#current) return;
-    this.#items.get(this.#current?.no)?.item.removeAttribute("aria-current");
-    this.#current = current;
+    if (this.#focuses) (this.#items.get(this.#target?.finding.no)?.item.firstElementChild ?? this.scroller).focus();
+    this.#focuses = false;
     const item = this.#items.get(current?.no)?.item;
+    if (current === this.#current && item === this.#pointed) return;
+    this.#pointed?.removeAttribute("aria-current");
+    [this.#current, this.#pointed] = [current, item];
     if (!item) return;
     item.setAttribute("aria-current", "true");
     const [top, bottom] = [item.offsetTop, item.offsetTop + item.offsetHeight];
@@ -128,17 +177,19 @@ export class Findings {
   }
 }
 
-// How often an object was seen, and how far from its place it may lie.
-function seenOften({ sightings, error_m: errorM }) {
+// How often an object was seen, how far from its place it may lie, and what was decided about it.
+function seenOften({ sightings, error_m: errorM }, verdict) {
   const often = sightings > 1 ? `seen ${sightings} times` : "";
-  return [often, errorM == null ? "" : `± ${errorM.toFixed(1)} m`].filter(Boolean).join(" · ");
+  const decided = { accepted: "✓ accepted", rejected: "✕ rejected" }[verdict];
+  return [often, errorM == null ? "" : `± ${errorM.toFixed(1)} m`, decided].filter(Boolean).join(" · ");
 }
 
 function picture(source) {
   const frame = element("span", { class: "thumb" });
   if (!source) return frame;
-  const image = element("img", { src: source, alt: "", width: WIDE_PX, height: HIGH_PX, loading: "lazy" });
+  const image = element("img", { alt: "", width: WIDE_PX, height: HIGH_PX });
   image.addEventListener("error", () => image.remove());
+  loadSeen(image, source);
   frame.append(image);
   return frame;
 }
@@ -149,14 +200,4 @@ function downloads() {
   const menu = element("details", { class: "downloads" }, element("summary", {}, "Download"), element("ul", {}, ...links));
   menu.hidden = !files.length;
   return menu;
-}
-
-// What was found, and how sure that is.
-export function wordsOf({ what, score }) {
-  const name = what || "object"; // a simulated one has neither name nor score
-  return score ? `${name} ${percent(score)}` : name;
-}
-
-function percent(score) {
-  return `${(100 * score).toFixed(0)} %`;
 }

@@ -10,7 +10,7 @@ import { FlightMap } from "./map.js";
 export class Fleet {
   #focus = 0;
 
-  constructor(stories, { places, tiles, picked, changed }) {
+  constructor(stories, { places, tiles, picked, desk, changed }) {
     this.stories = stories;
     this.changed = changed;
     const chosen = (index) => this.focus(index);
@@ -20,7 +20,7 @@ export class Fleet {
       this.focus(stories.indexOf(story));
       picked(story, finding);
     };
-    this.findings = new Findings(stories, "all drones", { picked: found });
+    this.findings = new Findings(stories, "all drones", { picked: found, desk, changed });
     this.map.found = (story, finding) => this.findings.select(story, finding);
     const shared = { places, picked, findings: this.findings };
     this.flights = stories.map((story, log) => new Flight(story, log, { ...shared, sign: [badge(log + 1), " "] }));

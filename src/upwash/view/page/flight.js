@@ -19,7 +19,7 @@ export class Flight {
   #run = 0;
   #legend = "";
 
-  constructor(story, log, { places, picked, map = null, findings = null, sign = [] }) {
+  constructor(story, log, { places, picked, desk, changed, map = null, findings = null, sign = [] }) {
     this.story = story;
     this.log = log;
     this.places = places;
@@ -37,7 +37,7 @@ export class Flight {
     this.chart = new DelayChart(name, places, (call) => picked(story, call));
     this.lanes = new Lanes(name, places, (clockS) => picked(story, { at_s: clockS + story.zeroS }));
     this.servers = new ServerList(places, name);
-    this.own = findings ? null : new Findings([story], name, { log, picked });
+    this.own = findings ? null : new Findings([story], name, { log, picked, desk, changed });
     this.findings = findings ?? this.own;
     const select = (each, finding) => this.findings.select(each, finding);
     this.photo = new PhotoCard(log, (finding) => select(story, finding));

@@ -30,12 +30,14 @@ let bars = []; // one for each of them
 let summaries = {};
 let title = "upwash";
 let together = false;
+let desk = null; // where reviews go
 let frame = null;
 let glimpse = null;
 
 const feed = new Feed({
-  opened(stories, page) {
+  opened(stories, page, reviews) {
     together = page.together;
+    desk = reviews;
     const many = !together && stories.length > MOST_BESIDE;
     const flights = many ? stories.slice(0, 1) : stories;
     setViews(together ? [fleetOf(stories, page.tiles)] : flights.map((story, log) => flightOf(story, log, page.tiles)));
@@ -76,11 +78,12 @@ function offerChoice(stories, tiles) {
 }
 
 function fleetOf(stories, tiles) {
-  return new Fleet(stories, { places, tiles, picked, changed: refresh });
+  return new Fleet(stories, { places, tiles, picked, desk, changed: refresh });
 }
 
 function flightOf(story, log, tiles) {
-  return new Flight(story, log, { places, picked, map: new FlightMap(story.name, { places, tiles, logs: [log] }) });
+  const map = new FlightMap(story.name, { places, tiles, logs: [log] });
+  return new Flight(story, log, { places, picked, desk, changed: refresh, map });
 }
 
 function picked(story, call) {
@@ -209,6 +212,11 @@ on("latest").addEventListener("click", () => {
 });
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey || event.target.tagName === "SELECT") return;
+  if (event.target.matches("input[type=text], input[type=number]")) return;
+  if (reviews(event)) {
+    event.preventDefault();
+    return;
+  }
   if (together && /^[1-9]$/.test(event.key)) views[0].focus(Number(event.key) - 1);
   if (event.target.closest("button, summary, input, [tabindex]:not(body)")) return; // these keys are theirs
   const ways = { " ": toggle, ArrowLeft: () => seek(clock.nowS - KEY_S), ArrowRight: () => seek(clock.nowS + KEY_S) };
@@ -217,6 +225,14 @@ document.addEventListener("keydown", (event) => {
   event.preventDefault();
   way();
 });
+
+// Whether the key is one of those that review findings: of the flight that has the focus, else of the first.
+function reviews({ key, repeat, target }) {
+  const focused = views.find(({ findings }) => findings.element.contains(target));
+  const { findings } = focused ?? views[0] ?? {};
+  return Boolean(findings) && !findings.element.hidden && !repeat && findings.review.press(key, Boolean(focused));
+}
+
 on("controls").hidden = false; // which do nothing without scripts
 write(on("connection"), "Loading the flight.");
 feed.start();

@@ -1,7 +1,7 @@
 // The last photo, or an earlier one that the user was told of since, with what was found on it in boxes; and, where it was rendered, what is truly there.
 
 import { card, drawn, element, write } from "./element.js";
-import { wordsOf } from "./findings.js";
+import { wordsOf } from "./found.js";
 import { firstFree, within } from "./labels.js";
 import { pictureOf } from "./pictures.js";
 
@@ -42,7 +42,7 @@ export class PhotoCard {
     const told = moment.last("told");
     const late = told && (!last || told.at_s >= last.at_s); // the drone may have taken one since
     const shot = late ? (story.shot[told.photo] ?? last) : last;
-    this.#found = late ? toldOfOne(story.told, moment.count("told")) : [];
+    this.#found = late ? toldOfOne(story, moment.count("told")) : [];
     if (shot !== this.#shot) this.#ask(shot, story.run);
     this.frame.hidden = !story.keepsPhotos || (shot && (!this.#picture || shot === this.#lost));
     write(this.caption, shot ? this.#words(shot) : "No photo was taken yet.");
@@ -105,11 +105,12 @@ export class PhotoCard {
   }
 }
 
-// The last of what was found, and what was found on the same photo before it, as far as that has numbers.
-function toldOfOne(told, count) {
+// The last of what was found, and what was found on the same photo before it, as far as that is shown.
+function toldOfOne(story, count) {
+  const { told } = story;
   let first = count - 1;
   while (first > 0 && told[first - 1].photo === told[count - 1].photo) first -= 1;
-  return told.slice(first, count).filter(({ no }) => no !== undefined);
+  return told.slice(first, count).filter((finding) => story.shows(finding));
 }
 
 function rectangle({ left_px: x, top_px: y, width_px: width, height_px: height }, style) {

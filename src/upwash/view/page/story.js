@@ -13,6 +13,7 @@ const MOVED_M = 0.5; // less may be the position's noise
 
 export class Story {
   #listed; // the servers that the page shows, and of which
+  #showsRejected = false;
 
   constructor(name) {
     this.name = name;
@@ -48,7 +49,7 @@ export class Story {
     this.courses = []; // which way, in degrees from north, the drone came to each fix; null before it moved
     this.moved = null; // the fix at which it had last moved
     this.delays = { place: new Totals(), operation: new Totals(), local: new Totals() }; // of the calls
-    this.found = { words: "", numbers: [], objects: {} }; // in a sentence, by numbers, and objects by their first sightings
+    this.found = { words: "", numbers: [], objects: {}, reviews: {}, remarks: [] }; // in a sentence, by numbers, objects by their first sightings, reviews by number
     this.waits = new Totals();
     this.hidden = new Totals();
     this.others = []; // the same calls under other policies
@@ -67,13 +68,34 @@ export class Story {
     this.found = found;
     this.told.forEach((told, index) => {
       const { sightings, surest, best, ...place } = found.objects[index] ?? {};
-      Object.assign(told, { index, no: found.numbers[index], sightings, surest, best }, place);
+      const no = found.numbers[index];
+      Object.assign(told, { index, no, review: found.reviews[no], sightings, surest, best }, place);
     });
   }
 
+  // The object of that number has this review from now on.
+  review(no, review) {
+    this.number({ ...this.found, reviews: { ...this.found.reviews, [no]: review } });
+  }
+
+  // Whether rejected findings are shown too.
+  showRejected(shows) {
+    this.#showsRejected = shows;
+    this.number({ ...this.found });
+  }
+
   // The objects that were found, by their first sightings: those that come next get a number a moment later.
-  get numbered() {
+  get objects() {
     return this.told.filter(({ sightings }) => sightings !== undefined);
+  }
+
+  // Those of them that are shown.
+  get numbered() {
+    return this.objects.filter((finding) => this.shows(finding));
+  }
+
+  shows({ no, review }) {
+    return no !== undefined && (this.#showsRejected || review?.verdict !== "rejected");
   }
 
   #takeFact(fact) {
