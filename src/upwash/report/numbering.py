@@ -12,7 +12,7 @@ from typing import TypeAlias
 
 from upwash.core.camera.georeference import Place
 from upwash.core.geo import GeoPosition, LocalFrame
-from upwash.report.catalogue import Catalogue, Shift, Sighting
+from upwash.core.camera.catalogue import Catalogue, Shift, Sighting
 from upwash.report.findings import Finding
 from upwash.support.text import counted, printable
 

@@ -138,6 +138,11 @@ class Catalogue:
             if not self._join():
                 return
 
+    def entry_of(self, photo: int, number: int) -> Entry:
+        """The object of the sighting on that photo whose key is (photo, number)."""
+        key = photo, number
+        return next(entry for seen, entry in self._photos[photo].seen if seen.key == key)
+
     # --- a photo over the entries ---
 
     def _best(
