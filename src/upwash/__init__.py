@@ -50,6 +50,7 @@ __all__ = [
     "Events",
     "FleetBound",
     "FleetSimulation",
+    "FoundObject",
     "GeoPosition",
     "GpsFix",
     "InstanceError",
@@ -92,6 +93,7 @@ if TYPE_CHECKING:
     from upwash.core.geo import EarthPosition, GeoPosition, Position, Velocity, Via, Waypoint
     from upwash.core.vehicle.telemetry import Attitude, GpsFix, Telemetry
     from upwash.drone.api import Drone, User
+    from upwash.drone.objects import FoundObject
     from upwash.drone.payload import Payload
     from upwash.drone.pending import Demand, Pending
     from upwash.drone.photographer import Photographer, PhotoPose
@@ -112,6 +114,7 @@ else:
         "upwash.core.vehicle.telemetry": ("Attitude", "GpsFix", "Telemetry"),
         "upwash.drone.api": ("Drone", "User"),
         "upwash.drone.vehicle": ("Vehicle",),
+        "upwash.drone.objects": ("FoundObject",),
         "upwash.drone.payload": ("Payload",),
         "upwash.drone.photographer": ("Photographer", "PhotoPose"),
         "upwash.core.camera.georeference": ("Place", "Unplaced"),

@@ -41,9 +41,14 @@ class ObjectAnswer(AnswerAction[T]):
         failed: Callable[[Exception], object] | None,
     ) -> None:
         super().__init__(vehicle, calls, rule, NoDemand(pending), tell, failed=failed)
-        self._on_object = act
-        self._wanted = wanted
+        self.on_object = act
+        self.wanted = wanted
         self._claims: list[ObjectAct] = []
+
+    @property
+    def about(self) -> tuple[VehicleVerbs, Calls, StayRule]:
+        """What acts on its objects work with."""
+        return self._vehicle, self._calls, self._rule
 
     def finish(self, waited_s: float) -> None:
         """Claim the answer's objects, tell the answer, and owe the acts."""
@@ -51,8 +56,7 @@ class ObjectAnswer(AnswerAction[T]):
             taken_at = position_of(self.place) if self.place is not None else self._vehicle.position()
             findings = self._calls.objects.take(answer, self.pending.photo, taken_at)
             self._claims = [
-                ObjectAct(self._vehicle, self._calls, self._rule, self, claim, self._on_object, self._wanted)
-                for claim in self._calls.objects.claim(findings, self._wanted)
+                ObjectAct(self, claim) for claim in self._calls.objects.claim(findings, self.wanted)
             ]
         try:
             super().finish(waited_s)
@@ -101,20 +105,11 @@ class ObjectAct(AnswerAction[Any]):
 
     demand: _Claimed
 
-    def __init__(
-        self,
-        vehicle: VehicleVerbs,
-        calls: Calls,
-        rule: StayRule,
-        found_by: ObjectAnswer[Any],
-        claim: Claim,
-        act: Act,
-        wanted: Act,
-    ) -> None:
+    def __init__(self, found_by: ObjectAnswer[Any], claim: Claim) -> None:
+        vehicle, calls, rule = found_by.about
         objects = calls.objects
-        super().__init__(
-            vehicle, calls, rule, _Claimed(found_by.pending, objects, claim, wanted), act, failed=None
-        )
+        demand = _Claimed(found_by.pending, objects, claim, found_by.wanted)
+        super().__init__(vehicle, calls, rule, demand, found_by.on_object, failed=None)
         self._objects = objects
         self._claim = claim
         self.waypoint = found_by.waypoint
@@ -205,3 +200,33 @@ class ObjectAct(AnswerAction[Any]):
         self.is_over = True
         self._objects.release(self._claim)
         self._calls.note(schema.NotActed(waypoint=self.waypoint, object=self._claim.number, why=why))
+
+
+class ObjectActs:
+    """Makes of each answer what has its objects acted on."""
+
+    def __init__(self, vehicle: VehicleVerbs, calls: Calls, rule: StayRule) -> None:
+        self._vehicle = vehicle
+        self._calls = calls
+        self._rule = rule
+
+    def answer(
+        self,
+        pending: Pending[T],
+        act: Act,
+        *,
+        wanted: Act | None,
+        tell: Callable[[T], object] | None,
+        failed: Callable[[Exception], object] | None,
+    ) -> ObjectAnswer[T]:
+        """What the mission does about the answer: by default every object is wanted, and nothing is told."""
+        return ObjectAnswer(
+            self._vehicle,
+            self._calls,
+            self._rule,
+            pending,
+            act,
+            wanted=wanted or (lambda _: True),
+            tell=tell or (lambda _: None),
+            failed=failed,
+        )

@@ -1,9 +1,8 @@
-"""The objects that a flight has found: findings of its answers, joined within their stated error, and what is due there.
+"""The objects that a flight has found: findings of its answers that lie within their stated error of each other.
 
     an answer     each finding gets a place by the photo of its call, and joins an object (core/camera/catalogue.py)
     a claim       an object on which the mission acts, from the answer on; no other finding of it is claimed
-    an act        at the object's place, by all its findings until then; findings that have become one object meanwhile
-                  have one act
+    an act        at the object's place, by all its findings until then; objects that are one by then have one act
 
 An object is known by the keys of its findings, as the catalogue may join two objects later. In the mission's thread,
 or while that waits.
@@ -33,8 +32,8 @@ _MOST_OBJECTS = 1000  # of an answer
 class FoundObject:
     """An object on the ground, by all photos of this flight that show it until now.
 
-    `score` is its best one. `place` is None where no photo tells it. `position` is over the object, at the altitude of
-    its first photo; without a place it is where that photo was taken.
+    `score` is its best one. `place` is None where no photo tells it. `position` is over the object, at the altitude
+    of its first photo; without a place it is where that photo was taken.
     """
 
     label: str

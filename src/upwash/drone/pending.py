@@ -655,10 +655,10 @@ class AnswerActions:
         self, demand: Demand[T], act: Callable[[T], object], failed: Callable[[Exception], object] | None
     ) -> None:
         """Waits for the answer and acts on it, or leaves it open and returns."""
-        self.settle(self._action(demand, act, failed))
+        self.take_up(self._action(demand, act, failed))
 
-    def settle(self, answer: AnswerAction[Any]) -> None:
-        """The same for what to do about an answer."""
+    def take_up(self, answer: AnswerAction[Any]) -> None:
+        """Waits for the answer and does what is to do about it, or leaves it open and returns."""
         if self._vehicle.flies_rows or answer.needs_server:
             self._vehicle.leave_open(answer)
             return

@@ -251,11 +251,7 @@ class Vehicle:
 
     def _owed_now(self, onwards: Onwards) -> list[AnswerAction[Any]]:
         """The owed acts that are not put off."""
-        return [
-            act
-            for act in self._taken_owed()
-            if act.demands() is False or not self._is_put_off(act, onwards)
-        ]
+        return [act for act in self._taken_owed() if not (act.demands() and self._is_put_off(act, onwards))]
 
     def _taken_owed(self) -> list[AnswerAction[Any]]:
         owed, self._owed = self._owed, []
@@ -333,15 +329,7 @@ class Vehicle:
         try:
             while not unless.holds():
                 if unless.pending.done():
-                    if late is not None and late.only_tells:
-                        late.finish(0.0)
-                    end = position_of(place)
-                    if self._acts or not (due := self._owed_now(Onwards(place, end, end, rests=False))):
-                        self._thread.call(self._legs.arrive())
-                        return True
-                    self._thread.call(self._legs.stop_short_of(end))
-                    self._act(due)
-                    return False
+                    return self._fly_on(place, late)
                 if self._thread.call(self._legs.until_answered(None, unless)):  # a better answer may come
                     return True
             if late is None:
@@ -354,6 +342,16 @@ class Vehicle:
             raise
         self._thread.call(self._legs.stop_short_of(position_of(place)))
         return False
+
+    def _fly_on(self, place: Waypoint | Position, late: AnswerAction[Any] | None) -> bool:
+        """Fly on to the place with an answer that demands nothing; False after acts on objects that it shows."""
+        if late is not None and late.only_tells:
+            late.finish(0.0)
+        end = position_of(place)
+        due = [] if self._acts else self._owed_now(Onwards(place, end, end, rests=False))
+        self._thread.call(self._legs.stop_short_of(end) if due else self._legs.arrive())
+        self._act(due)
+        return not due
 
     @contextlib.contextmanager
     def _settling(self, answer: AnswerAction[Any]) -> Iterator[AnswerAction[Any]]:

@@ -141,8 +141,8 @@ class OpenDemands:
     """What a flight, and the flights that resumed it, have left open, by waypoint.
 
     `answers`: started calls whose answers the mission has not taken. `demands`: answers whose demanded action is not
-    done. `failures`: failed calls without a reaction. An action on an object is open at the waypoint whose photo first
-    showed that object.
+    done. `failures`: failed calls without a reaction. An action on an object is open at the waypoint whose photo
+    showed that object first.
     """
 
     def __init__(self) -> None:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from functools import partial
 
-from upwash import CameraError, Drone, Waypoint
-from upwash.services import Detection, Detector, Mode, NotAPhoto
-
-_TRIES = 2  # of a photo, before the survey goes on without it
+from upwash import Drone, FoundObject, Waypoint
+from upwash.missions.photos import notify, notify_failure, photo_at
+from upwash.missions.second_look import look_again
+from upwash.services import Detection, Detector, Mode
 
 
 def survey(drone: Drone, mode: Mode = "heavy") -> None:
     """Visit the plan's waypoints and inspect a photo of each, before moving on or soon after.
 
-    On rows the drone flies on, and turns back only for actions that take time. Where no photo can be inspected, the
-    user gets a message, and the survey goes on.
+    On rows the drone flies on, and leaves its way only for actions that take time and for second looks: once for each
+    object, where the object lies. Where no photo can be inspected, the user gets a message, and the survey goes on.
     """
     detector = drone.service(Detector)
     drone.autopilot.arm()
@@ -24,37 +24,30 @@ def survey(drone: Drone, mode: Mode = "heavy") -> None:
         photo = photo_at(drone, waypoint)
         if photo is not None:
             pending = drone.start(detector.process_photo, photo, mode=mode)
-            failed = partial(notify_failure, drone, waypoint)
-            if drone.on_rows and not drone.action_s:
-                drone.when_answered(pending, partial(notify, drone, waypoint), failed=failed)
+            tell, failed = partial(notify, drone, waypoint), partial(notify_failure, drone, waypoint)
+            if acts_on_objects(drone):
+                on_object = partial(act_on, drone, detector, mode)
+                wanted = drone.second_look.wants if drone.second_look else None
+                drone.act_once(pending, on_object, wanted=wanted, tell=tell, failed=failed)
+            elif drone.on_rows and not drone.action_s:
+                drone.when_answered(pending, tell, failed=failed)
             else:
                 drone.stay_or_go(pending, partial(act, drone, waypoint), failed=failed)
     drone.end_flight()
     drone.autopilot.disarm()
 
 
-def photo_at(drone: Drone, waypoint: Waypoint) -> bytes | None:
-    """A photo, tried twice; None, with a message to the user, if the camera gives none."""
-    for left in reversed(range(_TRIES)):
-        try:
-            return drone.camera.take_photo()
-        except CameraError as error:
-            if not left:
-                drone.user.notify(f"no photo: {error}", at=waypoint)
-    return None
+def acts_on_objects(drone: Drone) -> bool:
+    """Whether the drone has something to do at objects, and knows where these lie."""
+    pose = drone.camera.pose
+    return drone.second_look is not None or (drone.action_s > 0 and pose is not None and pose.gives_places)
 
 
-def notify_failure(drone: Drone, waypoint: Waypoint, error: Exception) -> None:
-    """Notify the user of a photo that cannot be inspected; raises any other error."""
-    if not isinstance(error, NotAPhoto):
-        raise error
-    drone.user.notify(f"no photo: {error}", at=waypoint)
-
-
-def notify(drone: Drone, waypoint: Waypoint, found: list[Detection]) -> None:
-    """Notify the user of the findings at the waypoint; without findings there is no message."""
-    if found:
-        drone.user.notify(found, at=waypoint)
+def act_on(drone: Drone, detector: Detector, mode: Mode, found: FoundObject) -> None:
+    """Take the second look at an object, if one is configured, and hover there for the action."""
+    if drone.second_look is not None:
+        look_again(drone, detector, mode, found)
+    drone.autopilot.hover(drone.action_s)
 
 
 def act(drone: Drone, waypoint: Waypoint, found: list[Detection]) -> None:
