@@ -198,7 +198,7 @@ class ObjectAct(AnswerAction[Any]):
 
     def _leave_out(self, why: str) -> None:
         self.is_over = True
-        self._objects.release(self._claim)
+        self._objects.release_if_joined(self._claim)
         self._calls.note(schema.NotActed(waypoint=self.waypoint, object=self._claim.number, why=why))
 
 

@@ -119,9 +119,10 @@ class FlightObjects:
             self._catalogue.settle()
         return not self._is_claimed(claim.key, but=claim.key)
 
-    def release(self, claim: Claim) -> None:
-        """Forget a claim; the mission does not act on it."""
-        self._claimed.discard(claim.key)
+    def release_if_joined(self, claim: Claim) -> None:
+        """Forget a claim of an object that has another one; without another the object stays claimed."""
+        if not self.is_alone(claim):
+            self._claimed.discard(claim.key)
 
     def found(self, key: Key) -> FoundObject:
         """The object of a finding, as it is known by now."""
