@@ -30,6 +30,7 @@ from upwash.core.knowledge.estimates import Estimates
 from upwash.core.operation import Operation
 from upwash.core.planning.answering import ServerBelief
 from upwash.core.planning.ground_speed import ChosenSpeed, SpeedLimit, choose_speed
+from upwash.core.planning.legs import Leg, Pace
 from upwash.core.planning.row_forecast import RowForecast, RowMission, forecast_rows
 from upwash.drone.preparation import home_s, make_estimates, mission_beliefs, two_answers
 from upwash.rpc.service import ServiceSpec
@@ -140,10 +141,20 @@ def row_missions(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> list[
         gain_switch=config.policy.gain_switch,
         newest=photos.order == "newest",
         at_most=photos.at_most,
-        action_s=mission.action_s,
+        action_s=mission.action_s + _second_look_s(config, plan, beliefs.pace),
         act_within_s=config.policy.acts_within_s,
     )
     return [replace(known, demanding=demanding) for demanding in _demanding(config, plan)]
+
+
+def _second_look_s(config: DroneConfig, plan: Sequence[Waypoint], pace: Pace) -> float:
+    """The seconds of a second look: down, the photo, and up again."""
+    look, speed_m_s = config.mission.second_look, config.mission.ground_speed_m_s
+    if look is None:
+        return 0.0
+    down_m = fmean(waypoint.position.altitude_m for waypoint in plan) - look.altitude_m
+    down = Leg(down_m, speed_m_s, pace.acceleration_m_s2, pace.settling_s)
+    return 2 * down.duration_s + config.camera.photo_s
 
 
 def own_answer_s(

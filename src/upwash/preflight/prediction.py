@@ -65,7 +65,8 @@ def events_share(config: DroneConfig) -> float:
 def told_share(config: DroneConfig) -> str:
     """What answers have the drone do, in a sentence; empty where the drone stays."""
     if config.mission.only_tells:
-        return "answers only tell what was found, as mission.action_s is 0: the drone turns back for none"
+        why = "mission.action_s is 0 and there is no mission.second_look"
+        return f"answers only tell what was found, as {why}: the drone turns back for none"
     on_rows = config.mission.photos is not None
     share = events_share(config) if on_rows else demanding_share(config)
     if share is None:
