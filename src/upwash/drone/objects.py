@@ -105,7 +105,7 @@ class FlightObjects:
         """Claim each object of these findings that is wanted and not claimed; without places one of them at most."""
         placed = [finding for finding in findings if finding.place and not self._is_claimed(finding.key)]
         if placed:
-            self._catalogue.settle()
+            self._catalogue.join()
         for finding in placed:
             if not self._is_claimed(finding.key) and wanted(self.found(finding.key)):
                 yield self._claim(finding)
@@ -116,7 +116,7 @@ class FlightObjects:
     def is_alone(self, claim: Claim) -> bool:
         """Whether no other claim is of the same object, as far as is known by now."""
         if self._findings[claim.key].place is not None:
-            self._catalogue.settle()
+            self._catalogue.join()
         return not self._is_claimed(claim.key, but=claim.key)
 
     def release_if_joined(self, claim: Claim) -> None:
