@@ -65,6 +65,7 @@ __all__ = [
     "Place",
     "Position",
     "RunResult",
+    "SecondLook",
     "ServiceError",
     "Simulation",
     "Telemetry",
@@ -89,6 +90,7 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
+    from upwash.config import SecondLook
     from upwash.core.camera.georeference import Place, Unplaced
     from upwash.core.geo import EarthPosition, GeoPosition, Position, Velocity, Via, Waypoint
     from upwash.core.vehicle.telemetry import Attitude, GpsFix, Telemetry
@@ -109,6 +111,7 @@ if TYPE_CHECKING:
     from upwash.rpc.service import once, service
 else:
     _NAMES = {
+        "upwash.config": ("SecondLook",),
         "upwash.core.geo": ("EarthPosition", "GeoPosition", "Position", "Velocity", "Via", "Waypoint"),
         "upwash.lab.least_time": ("Bound", "FleetBound"),
         "upwash.core.vehicle.telemetry": ("Attitude", "GpsFix", "Telemetry"),

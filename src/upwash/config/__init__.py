@@ -35,7 +35,7 @@ from upwash.config.drone import (
     ProbeConfig,
     RosConfig,
     SafeEnd,
-    SecondLookConfig,
+    SecondLook,
     ServerConfig,
     ServiceConfig,
     VehicleConfig,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 from msgspec.structs import replace
@@ -95,19 +95,7 @@ class PhotosConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
             raise ValueError("every_m and every_s both say when the next photo is taken: give one of them")
 
 
-class Found(Protocol):
-    """An object with a label, and with its best score if one is known."""
-
-    @property
-    def label(self) -> str:
-        """What it is."""
-
-    @property
-    def score(self) -> float | None:
-        """How sure that is."""
-
-
-class SecondLookConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class SecondLook(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The bundled mission flies to the objects that it finds, and takes a photo of each from lower down: [the second
     look](missions.md#a-second-look)."""
 
@@ -118,10 +106,10 @@ class SecondLookConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     below_score: values.Share | None = None
     """Only objects whose best score is below this, or that have none."""
 
-    def wants(self, found: Found) -> bool:
-        """Whether the object is looked at again."""
-        is_sure = self.below_score is not None and found.score is not None and found.score >= self.below_score
-        return not is_sure and (not self.labels or found.label in self.labels)
+    def wants(self, label: str, score: float | None) -> bool:
+        """Whether an object with that label and best score is looked at again."""
+        is_sure = self.below_score is not None and score is not None and score >= self.below_score
+        return not is_sure and (not self.labels or label in self.labels)
 
 
 class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -151,7 +139,7 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     action_s: values.NotNegative = 0.0
     """The duration of an action that an answer demands at its waypoint, in seconds. With 0 the bundled mission only
     tells answers of [rows](rows.md), and never turns back."""
-    second_look: SecondLookConfig | None = None
+    second_look: SecondLook | None = None
     """Objects that are found are looked at again from lower down."""
     order: values.FlightOrder = "given"
     """The order of the waypoints: [orders](missions.md#the-order-of-the-waypoints)."""

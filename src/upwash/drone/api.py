@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Any, Final, ParamSpec, TypeVar
 
-from upwash.config import SecondLookConfig
+from upwash.config import SecondLook
 from upwash.core.geo import GeoPosition, LocalFrame, Position, Waypoint
 from upwash.core.operation import Operation
 from upwash.drone.answered_photos import AnsweredPhotos
@@ -57,7 +57,7 @@ class Drone:
     altitude_m: float
     action_s: float
     on_rows: bool
-    second_look: SecondLookConfig | None
+    second_look: SecondLook | None
     autopilot: Vehicle
     camera: Photographer
     payload: Payload
@@ -83,7 +83,7 @@ class Drone:
         leave: Callable[[], None],
         action_s: float = 0.0,
         on_rows: bool = False,
-        second_look: SecondLookConfig | None = None,
+        second_look: SecondLook | None = None,
     ) -> None:
         self.plan = plan
         self.altitude_m = altitude_m

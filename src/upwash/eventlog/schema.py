@@ -447,7 +447,8 @@ class FoundRecord(msgspec.Struct, frozen=True, omit_defaults=True):
 class Demanded(Event, frozen=True, kw_only=True, omit_defaults=True):
     """An answer that arrived later demands an action at its waypoint, or its call `failed` for that reason.
 
-    With an `object` the action is at the place of that object, which the answer shows.
+    With an `object` the action is at the place of that object, which the answer shows. The object has a `number` in
+    the flight, a `label`, and as far as known a `score` and a `place` on the ground.
     """
 
     waypoint: Index | None

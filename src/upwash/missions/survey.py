@@ -27,7 +27,7 @@ def survey(drone: Drone, mode: Mode = "heavy") -> None:
             tell, failed = partial(notify, drone, waypoint), partial(notify_failure, drone, waypoint)
             if acts_on_objects(drone):
                 on_object = partial(act_on, drone, detector, mode)
-                wanted = drone.second_look.wants if drone.second_look else None
+                wanted = partial(acts_on, drone)
                 drone.act_once(pending, on_object, wanted=wanted, tell=tell, failed=failed)
             elif drone.on_rows and not drone.action_s:
                 drone.when_answered(pending, tell, failed=failed)
@@ -41,6 +41,11 @@ def acts_on_objects(drone: Drone) -> bool:
     """Whether the drone has something to do at objects, and knows where these lie."""
     pose = drone.camera.pose
     return drone.second_look is not None or (drone.action_s > 0 and pose is not None and pose.gives_places)
+
+
+def acts_on(drone: Drone, found: FoundObject) -> bool:
+    """Whether the drone has something to do at the object."""
+    return drone.second_look is None or drone.second_look.wants(found.label, found.score)
 
 
 def act_on(drone: Drone, detector: Detector, mode: Mode, found: FoundObject) -> None:
