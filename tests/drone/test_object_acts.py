@@ -134,8 +134,8 @@ def test_only_objects_with_these_labels_and_scores_are_looked_at_again(tmp_path:
 
 
 def test_an_object_behind_a_fence_is_left_out_and_the_survey_goes_on(tmp_path: Path) -> None:
-    around = [(46.0, 40.0), (46.0, 60.0), (56.0, 60.0), (56.0, 40.0)]
-    run = survey(tmp_path, "action_s = 5.0", stones=[(50.0, 50.0), (7.0, 50.0)], fence=around)
+    around = [(45.0, 40.0), (45.0, 60.0), (56.0, 60.0), (56.0, 40.0)]
+    run = survey(tmp_path, "action_s = 5.0", stones=[(47.0, 50.0), (7.0, 50.0)], fence=around)
     (left_out,) = of(run.events, schema.NotActed)
     assert "fence" in left_out.why
     assert [nearest(record.place)[0] for record in acted(run.events) if record.place] == [1]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from functools import partial
 
-from upwash import Drone, FoundObject, Waypoint
-from upwash.missions.photos import notify, notify_failure, photo_at
-from upwash.missions.second_look import look_again
-from upwash.services import Detection, Detector, Mode
+from upwash import AutopilotRefused, CameraError, Drone, FoundObject, Position, SecondLook, Waypoint
+from upwash.services import Detection, Detector, Mode, NotAPhoto
+
+_TRIES = 2  # of a photo, before the survey goes on without it
 
 
 def survey(drone: Drone, mode: Mode = "heavy") -> None:
@@ -25,10 +25,12 @@ def survey(drone: Drone, mode: Mode = "heavy") -> None:
         if photo is not None:
             pending = drone.start(detector.process_photo, photo, mode=mode)
             tell, failed = partial(notify, drone, waypoint), partial(notify_failure, drone, waypoint)
-            if acts_on_objects(drone):
-                on_object = partial(act_on, drone, detector, mode)
-                wanted = partial(acts_on, drone)
-                drone.act_once(pending, on_object, wanted=wanted, tell=tell, failed=failed)
+            look, pose = drone.second_look, drone.camera.pose
+            if look is not None:
+                again = partial(look_again, drone, look, detector, mode)
+                drone.act_once(pending, again, wanted=partial(is_wanted, look), tell=tell, failed=failed)
+            elif drone.action_s and pose is not None and pose.gives_places:
+                drone.act_once(pending, partial(act_on, drone), tell=tell, failed=failed)
             elif drone.on_rows and not drone.action_s:
                 drone.when_answered(pending, tell, failed=failed)
             else:
@@ -37,25 +39,61 @@ def survey(drone: Drone, mode: Mode = "heavy") -> None:
     drone.autopilot.disarm()
 
 
-def acts_on_objects(drone: Drone) -> bool:
-    """Whether the drone has something to do at objects, and knows where these lie."""
-    pose = drone.camera.pose
-    return drone.second_look is not None or (drone.action_s > 0 and pose is not None and pose.gives_places)
+def photo_at(drone: Drone, place: Waypoint | Position) -> bytes | None:
+    """A photo, tried twice; None, with a message to the user, if the camera gives none."""
+    for left in reversed(range(_TRIES)):
+        try:
+            return drone.camera.take_photo()
+        except CameraError as error:
+            if not left:
+                drone.user.notify(f"no photo: {error}", at=place)
+    return None
 
 
-def acts_on(drone: Drone, found: FoundObject) -> bool:
-    """Whether the drone has something to do at the object."""
-    return drone.second_look is None or drone.second_look.wants(found.label, found.score)
+def notify_failure(drone: Drone, place: Waypoint | Position, error: Exception) -> None:
+    """Notify the user of a photo that cannot be inspected; raises any other error."""
+    if not isinstance(error, NotAPhoto):
+        raise error
+    drone.user.notify(f"no photo: {error}", at=place)
 
 
-def act_on(drone: Drone, detector: Detector, mode: Mode, found: FoundObject) -> None:
-    """Take the second look at an object, if one is configured, and hover there for the action."""
-    if drone.second_look is not None:
-        look_again(drone, detector, mode, found)
-    drone.autopilot.hover(drone.action_s)
+def notify(drone: Drone, place: Waypoint | Position, found: list[Detection]) -> None:
+    """Notify the user of the findings at the place; without findings there is no message."""
+    if found:
+        drone.user.notify(found, at=place)
 
 
 def act(drone: Drone, waypoint: Waypoint, found: list[Detection]) -> None:
     """Notify the user of what was found at the waypoint, and hover there for the action."""
     drone.user.notify(found, at=waypoint)
+    drone.autopilot.hover(drone.action_s)
+
+
+def act_on(drone: Drone, _: FoundObject) -> None:
+    """Hover over an object for the action."""
+    drone.autopilot.hover(drone.action_s)
+
+
+def is_wanted(look: SecondLook, found: FoundObject) -> bool:
+    """Whether the object gets a second look."""
+    return look.wants(found.label, found.score)
+
+
+def look_again(drone: Drone, look: SecondLook, detector: Detector, mode: Mode, found: FoundObject) -> None:
+    """Take the second look: go down over the object, have a photo of it inspected, and come up again for the action.
+
+    The drone does not wait for the answer. A look that a fence forbids is left out, with a message to the user.
+    """
+    low = found.over(look.altitude_m)
+    try:
+        drone.autopilot.goto(low)
+    except AutopilotRefused as error:
+        drone.user.notify(f"no second look at {found.label}: {error}", at=found.position)
+    else:
+        photo = photo_at(drone, low)
+        if photo is not None:
+            pending = drone.start(detector.process_photo, photo, mode=mode)
+            told = partial(notify, drone, low)
+            drone.when_answered(pending, told, failed=partial(notify_failure, drone, low))
+        drone.autopilot.goto(found.position)
     drone.autopilot.hover(drone.action_s)
