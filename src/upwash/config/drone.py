@@ -155,7 +155,7 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     @property
     def only_tells(self) -> bool:
-        """Whether the bundled mission tells the answers of its rows in flight, as it has nothing to do at objects."""
+        """Whether the bundled mission only tells the answers of its rows, as nothing is done at objects."""
         acts = self.action_s > 0 or self.second_look is not None
         return self.program == "survey" and self.photos is not None and not acts
 

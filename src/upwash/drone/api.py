@@ -209,7 +209,7 @@ class Drone:
 
         Findings of all answers within their stated error of each other are one object. The drone flies to the object
         where the way gets least longer, at once or later, within `policy.act_within_s`. `wanted(found)` says which
-        objects are acted on, all by default, and is asked again before the act. `tell` and `failed` are called as by
+        objects are acted on, all by default. It is called again before the act. `tell` and `failed` are called as by
         `when_answered`. Findings of an answer that have no place have one act together, where their photo was taken.
         An object whose way a fence forbids is left out.
         """

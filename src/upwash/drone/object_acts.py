@@ -2,8 +2,8 @@
 
     an answer    is told as soon as it is there, and the drone flies on; each object in it that is wanted is claimed
     a claim      becomes an act at the object's place, at once or where that costs least (late_acts.py)
-    the act      comes where the object lies by then. It is left out if its object is one with another claimed object,
-                 is no longer wanted, or lies behind a fence
+    the act      is done where the object lies by all photos until then. An object that is one with another claimed
+                 object, that is no longer wanted, or that lies behind a fence has no act.
     its answers  belong to the object: calls that the act makes and leaves open. The act is over with the last of them
 
 In the mission's thread.
@@ -149,7 +149,7 @@ class ObjectAct(AnswerAction[Any]):
         self.finish(waited_s)
 
     def finish(self, waited_s: float) -> None:
-        """Act on the object, if it is wanted."""
+        """Act on the object if the mission still wants that."""
         del waited_s
         self.is_over = True
         if why := self.demand.why_not():

@@ -120,7 +120,7 @@ class FlightObjects:
         return not self._is_claimed(claim.key, but=claim.key)
 
     def release_if_joined(self, claim: Claim) -> None:
-        """Forget a claim of an object that has another one; without another the object stays claimed."""
+        """Forget the claim if its object has another claim; else the object stays claimed."""
         if not self.is_alone(claim):
             self._claimed.discard(claim.key)
 

@@ -658,7 +658,7 @@ class AnswerActions:
         self.take_up(self._action(demand, act, failed))
 
     def take_up(self, answer: AnswerAction[Any]) -> None:
-        """Waits for the answer and does what is to do about it, or leaves it open and returns."""
+        """Waits for the answer and settles it, or leaves it open and returns."""
         if self._vehicle.flies_rows or answer.needs_server:
             self._vehicle.leave_open(answer)
             return

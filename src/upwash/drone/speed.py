@@ -25,7 +25,7 @@ from upwash.config import (
     stands,
     waypoints,
 )
-from upwash.core.geo import Waypoint
+from upwash.core.geo import Position, Waypoint, ground_distance_m
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.operation import Operation
 from upwash.core.planning.answering import ServerBelief
@@ -179,6 +179,11 @@ def _call_s(estimates: Estimates, server: str, operation: Operation) -> float:
     return (estimates.local_s(operation) or 0.0) if remote_s is None else remote_s
 
 
+def _nearest(plan: Sequence[Waypoint], place: Position) -> int:
+    """The waypoint whose photo is likely to show an object at the place first."""
+    return min(range(len(plan)), key=lambda number: ground_distance_m(plan[number].position, place))
+
+
 def _demanding(config: DroneConfig, plan: Sequence[Waypoint]) -> list[frozenset[int]]:
     """Sets of photos whose answers demand an action, all as likely: one by `[event] every`, else some.
 
@@ -190,6 +195,8 @@ def _demanding(config: DroneConfig, plan: Sequence[Waypoint]) -> list[frozenset[
     event, known = config.event, demand_map_of(config, plan)
     if event is not None and event.every is not None:
         return [frozenset(range(event.offset, len(plan), event.every))]
+    if event is not None and event.objects:
+        return [frozenset(_nearest(plan, Position(each.east_m, each.north_m)) for each in event.objects)]
     if event is not None:
         chances = [event.chance(waypoint.position) for waypoint in plan]
     elif known is not None and any(known.places()):

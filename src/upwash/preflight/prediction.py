@@ -58,6 +58,8 @@ def events_share(config: DroneConfig) -> float:
         return 0.0
     if config.event.every is not None:
         return 1 / config.event.every
+    if config.event.objects:  # each has one act
+        return min(1.0, len(config.event.objects) / len(waypoints(config.mission)))
     chances = [config.event.chance(waypoint.position) for waypoint in waypoints(config.mission)]
     return fmean(chances) if config.event.areas else config.event.probability or 0.0
 
