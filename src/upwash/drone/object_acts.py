@@ -26,7 +26,7 @@ Act = Callable[[FoundObject], object]
 
 
 class ObjectAnswer(AnswerAction[T]):
-    """An answer that is told, and whose objects get one act each."""
+    """An answer for the user, and one act for each of its objects."""
 
     def __init__(
         self,

@@ -60,7 +60,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """An object on which the mission acts: its number in the flight, and the finding that was claimed."""
+    """An object for an act of the mission: its number in the flight, and the finding that was claimed."""
 
     number: int
     key: Key
@@ -70,7 +70,7 @@ class FlightObjects:
     """Joins the findings of one flight, and knows which objects the mission acts on, or has acted on.
 
     `acted_on` are objects of the same mission before it was resumed, and `last` is the highest of their numbers.
-    `under_way` is the number of the object on which the mission acts now.
+    `under_way` is the number of the object that has an act now, None between acts.
     """
 
     def __init__(self, acted_on: Sequence[FoundRecord] = (), *, last: int = 0) -> None:
@@ -125,7 +125,7 @@ class FlightObjects:
             self._claimed.discard(claim.key)
 
     def found(self, key: Key) -> FoundObject:
-        """The object of a finding, as it is known by now."""
+        """The object of a finding, by all photos until now."""
         finding = self._findings[key]
         if finding.place is None:
             label, score = finding.outline.label, finding.outline.score

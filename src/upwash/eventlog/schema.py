@@ -326,8 +326,8 @@ class PhotoTaken(Event, frozen=True, kw_only=True, omit_defaults=True, tag="phot
     """A photo: its source, size in bytes, age on delivery, place, and for a rendered photo the true objects in it.
 
     The place in degrees (WGS 84) and the altitude above the sea are absent if they are unknown. `geometry` decides
-    where what the photo shows lies on the ground; absent for a camera whose lens is unknown. `object` is the number
-    of the object on which the mission acts, as in `demanded`: the photo is its second look.
+    where what the photo shows lies on the ground; absent for a camera whose lens is unknown. With an
+    `object`, by its number in `demanded`, the photo was taken while the mission acted there: it is the second look.
     """
 
     source: Text

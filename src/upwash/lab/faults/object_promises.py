@@ -17,7 +17,7 @@ _LEGS = 1  # to waypoints, from an answer until it is told, as a verb may be und
 
 
 def one_act_each(history: History) -> Iterator[Breach]:
-    """Each object in the answers is acted on once, at its place, and each answer is told when it comes."""
+    """Each object in the answers has one act, at its place, and the user gets each answer when it comes."""
     if not draws_objects(history.config):
         return
     yield from _told_late(history)
@@ -64,7 +64,7 @@ def _nearest(drawn: Sequence[ObjectConfig], label: str, place: Position) -> int 
 
 
 def _told_late(history: History) -> Iterator[Breach]:
-    """An answer is told before the drone has flown another leg of its plan, acts apart."""
+    """The user gets an answer before the drone has flown another leg of its plan; legs to acts do not count."""
     whereabouts, legs = CallPlaces(), dict[int | None, int]()
     for event in history.run.events:
         whereabouts.take(event)

@@ -17,7 +17,7 @@ _ACTS_S = 1.0
 
 
 class AnswerTold(msgspec.Struct, frozen=True, kw_only=True):
-    """The answer of the waypoint of that index is told."""
+    """The mission has the answer of the waypoint with that index."""
 
     told: int
 
