@@ -23,11 +23,11 @@ import cv2
 import numpy as np
 from bench.program import machine
 
+from upwash.core.camera.catalogue import Catalogue, Sighting
 from upwash.core.camera.georeference import Accuracy, Ground, PhotoGeometry, Place, Sight
 from upwash.core.camera.lens import Lens
 from upwash.core.geo import Position
 from upwash.core.vehicle.telemetry import Attitude
-from upwash.report.catalogue import Catalogue, Sighting
 from upwash.services.solar_park.geometry import Area, Park
 
 SIZE_PX = (1440, 1080)

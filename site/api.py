@@ -37,7 +37,7 @@ _SECTIONS = {
         *("Drone", "Pending", "Demand", "Vehicle", "Photographer", "Payload", "User"),
         *("Waypoint", "Via", "Position"),
         *("Telemetry", "EarthPosition", "GeoPosition", "Velocity", "Attitude", "GpsFix"),
-        *("PhotoPose", "Place", "Unplaced"),
+        *("PhotoPose", "FoundObject", "SecondLook", "Place", "Unplaced"),
     ),
     "In a service": ("service", "once"),
     "In a notebook": (
@@ -54,6 +54,8 @@ _GIVEN = (
     "Vehicle",
     "Photographer",
     "PhotoPose",
+    "FoundObject",
+    "SecondLook",
     "Place",
     "Unplaced",
     "Payload",

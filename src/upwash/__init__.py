@@ -50,6 +50,7 @@ __all__ = [
     "Events",
     "FleetBound",
     "FleetSimulation",
+    "FoundObject",
     "GeoPosition",
     "GpsFix",
     "InstanceError",
@@ -64,6 +65,7 @@ __all__ = [
     "Place",
     "Position",
     "RunResult",
+    "SecondLook",
     "ServiceError",
     "Simulation",
     "Telemetry",
@@ -88,10 +90,12 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
+    from upwash.config import SecondLook
     from upwash.core.camera.georeference import Place, Unplaced
     from upwash.core.geo import EarthPosition, GeoPosition, Position, Velocity, Via, Waypoint
     from upwash.core.vehicle.telemetry import Attitude, GpsFix, Telemetry
     from upwash.drone.api import Drone, User
+    from upwash.drone.objects import FoundObject
     from upwash.drone.payload import Payload
     from upwash.drone.pending import Demand, Pending
     from upwash.drone.photographer import Photographer, PhotoPose
@@ -107,11 +111,13 @@ if TYPE_CHECKING:
     from upwash.rpc.service import once, service
 else:
     _NAMES = {
+        "upwash.config": ("SecondLook",),
         "upwash.core.geo": ("EarthPosition", "GeoPosition", "Position", "Velocity", "Via", "Waypoint"),
         "upwash.lab.least_time": ("Bound", "FleetBound"),
         "upwash.core.vehicle.telemetry": ("Attitude", "GpsFix", "Telemetry"),
         "upwash.drone.api": ("Drone", "User"),
         "upwash.drone.vehicle": ("Vehicle",),
+        "upwash.drone.objects": ("FoundObject",),
         "upwash.drone.payload": ("Payload",),
         "upwash.drone.photographer": ("Photographer", "PhotoPose"),
         "upwash.core.camera.georeference": ("Place", "Unplaced"),

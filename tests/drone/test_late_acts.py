@@ -98,6 +98,7 @@ class Late(NamedTuple):
 
     place: Position
     waypoint: int
+    object: int | None = None
 
 
 def test_an_act_that_fails_leaves_the_others_to_the_next_verb() -> None:

@@ -18,14 +18,14 @@ from upwash.config.drone_file import drone_config
 from upwash.core.geo import Position
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.networks import NoNetwork
-from upwash.drone.resumption import order_begun, waypoints_done
+from upwash.drone.resumption import objects_acted_on, order_begun, waypoints_done
 from upwash.errors import AutopilotOverruled, AutopilotRefused, InstanceError, MissionFailed, UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.results import RunResult, read_result
 from upwash.eventlog.schema import Event
 from upwash.missions.bundled import load_services
 from upwash.missions.survey import survey
-from upwash.ports import InstanceSpec
+from upwash.ports import Camera, InstanceSpec
 from upwash.rpc.service import spec_of
 from upwash.services import Detector
 from upwash.sim.autopilot import ModelAutopilot
@@ -81,7 +81,7 @@ def fly(
     mission: Callable[[Drone], None] = survey,
     autopilot: Callable[..., ModelAutopilot] = ModelAutopilot,
     runtime: type[ModelRuntime] = ModelRuntime,
-    camera: type[ModelCamera] = ModelCamera,
+    camera: Callable[..., Camera] = ModelCamera,
     shows: Sequence[Position] = (),
     stopped_at_s: float | None = None,
 ) -> Part:
@@ -123,6 +123,7 @@ def fly(
             ports=ports,
             done=waypoints_done(earlier, config) if after else None,
             order=order_begun(earlier, config) if after else None,
+            objects=objects_acted_on(earlier) if after else None,
         )
         life = asyncio.create_task(flight.run())
         if stopped_at_s is not None:

@@ -189,7 +189,8 @@ def test_a_setting_is_worth_what_it_saves_in_the_replays_that_did_not_choose_it(
     lucky = [30.0, 1.0, 31.0, 2.0, 29.0, 3.0]
     best = best_of({"lucky": lucky, "steady": [5.0, 5.1] * 3})
     assert best is not None
-    assert (best.setting, best.saved.value) == ("lucky", pytest.approx(2.0))
+    assert best.setting == "lucky"
+    assert best.saved.value == pytest.approx(2.0)
     assert best_of({"unsure": [30.0, 0.0, -30.0, 0.0, 1.0, 0.0]}) is None
     assert best_of({}) is None
 

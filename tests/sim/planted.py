@@ -21,6 +21,7 @@ from unittest.mock import patch
 import msgspec
 import tests.sim.planted_answers
 import tests.sim.planted_deadlines
+import tests.sim.planted_objects
 import tests.sim.planted_rows
 import tests.sim.planted_sending
 import tests.sim.planted_servers

@@ -85,6 +85,10 @@ FOUND_BY_SEED = {
     "the way home counts as one to home alone": 48,
     "the time until a hover is seen is not counted": 152,
     "the first battery alone counts": 129,
+    "each finding of an object has an act": 61,
+    "an act on an object is done at the waypoint of its photo": 61,
+    "findings are placed by the last photo": 85,
+    "answers are told before the way down": 61,
 }
 
 

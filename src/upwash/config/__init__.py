@@ -35,6 +35,7 @@ from upwash.config.drone import (
     ProbeConfig,
     RosConfig,
     SafeEnd,
+    SecondLook,
     ServerConfig,
     ServiceConfig,
     VehicleConfig,
@@ -98,5 +99,6 @@ from upwash.config.world import (
     HeatConfig,
     Lie,
     NoiseConfig,
+    ObjectConfig,
     TruthConfig,
 )

@@ -55,6 +55,12 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
     yield from _photos_problems(config)
     yield from _autopilot_problems(config.autopilot)
     yield from _lighter_problems(config)
+    look, altitude_m = config.mission.second_look, config.mission.altitude_m
+    if look is not None and config.mission.plan is None and look.altitude_m >= altitude_m:
+        yield (
+            "mission.second_look.altitude_m",
+            f"{look.altitude_m:g} m, and photos are taken at mission.altitude_m = {altitude_m:g} m: give a lower one",
+        )
     yield from _two_answers_problems(config)
     yield from _deadline_problems(config)
     yield from _battery_problems(config)

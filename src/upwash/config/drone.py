@@ -95,6 +95,23 @@ class PhotosConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
             raise ValueError("every_m and every_s both say when the next photo is taken: give one of them")
 
 
+class SecondLook(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The bundled mission flies to the objects that it finds, and takes a photo of each from lower down: [the second
+    look](missions.md#a-second-look)."""
+
+    altitude_m: values.Positive
+    """The altitude of the photo above the ground at the object, in metres; without `camera.terrain` above home."""
+    labels: values.Names = ()
+    """The labels of the objects that are looked at again; default: all."""
+    below_score: values.Share | None = None
+    """Only objects whose best score is below this, or that have none."""
+
+    def wants(self, label: str, score: float | None) -> bool:
+        """Whether an object with that label and best score is looked at again."""
+        is_sure = self.below_score is not None and score is not None and score >= self.below_score
+        return not is_sure and (not self.labels or label in self.labels)
+
+
 class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What is flown."""
 
@@ -122,6 +139,8 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     action_s: values.NotNegative = 0.0
     """The duration of an action that an answer demands at its waypoint, in seconds. With 0 the bundled mission only
     tells answers of [rows](rows.md), and never turns back."""
+    second_look: SecondLook | None = None
+    """Objects that are found are looked at again from lower down."""
     order: values.FlightOrder = "given"
     """The order of the waypoints: [orders](missions.md#the-order-of-the-waypoints)."""
     reserve_percent: values.Percent | None = None
@@ -136,8 +155,9 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     @property
     def only_tells(self) -> bool:
-        """Whether the bundled mission tells the answers of its rows in flight, as no action takes any time."""
-        return self.program == "survey" and self.photos is not None and not self.action_s
+        """Whether the bundled mission only tells the answers of its rows, as nothing is done at objects."""
+        acts = self.action_s > 0 or self.second_look is not None
+        return self.program == "survey" and self.photos is not None and not acts
 
 
 class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

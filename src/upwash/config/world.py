@@ -78,6 +78,17 @@ class EventAreaConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         return Circle(Position(self.east_m, self.north_m), self.radius_m)
 
 
+class ObjectConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Simulation: an object on the ground, which photos show where it lies."""
+
+    label: values.Text
+    """What it is."""
+    east_m: float
+    """Its place, in metres east of home."""
+    north_m: float
+    """Its place, in metres north of home."""
+
+
 class EventConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Simulation: the waypoints whose answers demand an action."""
 
@@ -89,6 +100,9 @@ class EventConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """At each waypoint with this probability, in place of `every`."""
     areas: Annotated[tuple[EventAreaConfig, ...], Meta(description="tables, each a circle")] = ()
     """Circles with a probability of their own; in several at the same time, the first counts."""
+    objects: Annotated[tuple[ObjectConfig, ...], Meta(description="tables, each an object")] = ()
+    """Objects on level ground, in place of `every` and `probability`. The camera looks straight down, north up, and
+    each photo has an error of its own, as GPS has one."""
     missed: values.SharesByKey = {}
     """The share of these waypoints where calls with a profile key see nothing: [two answers](two-answers.md)."""
     false_alarms: values.SharesByKey = {}
@@ -107,8 +121,8 @@ class EventConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     def __post_init__(self) -> None:
         if self.areas and self.probability is None:
             raise ValueError("areas go with a probability outside them: give it, in place of every")
-        if (self.every is None) == (self.probability is None):
-            raise ValueError("give one of every (with an offset) and probability")
+        if [self.every is None, self.probability is None, not self.objects].count(False) != 1:
+            raise ValueError("give one of every (with an offset), probability and objects")
         if self.every is not None and self.offset >= self.every:
             raise ValueError(
                 f"offset is {self.offset}, and every {self.every}: give one from 0 to {self.every - 1}"

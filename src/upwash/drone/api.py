@@ -6,10 +6,13 @@ import math
 from collections.abc import Callable
 from typing import Any, Final, ParamSpec, TypeVar
 
+from upwash.config import SecondLook
 from upwash.core.geo import GeoPosition, LocalFrame, Position, Waypoint
 from upwash.core.operation import Operation
 from upwash.drone.answered_photos import AnsweredPhotos
 from upwash.drone.mission import MissionThread
+from upwash.drone.object_acts import ObjectActs
+from upwash.drone.objects import FoundObject
 from upwash.drone.payload import Payload
 from upwash.drone.pending import AnswerActions, Calls, Pending, position_of
 from upwash.drone.photographer import Photographer
@@ -46,14 +49,15 @@ class Drone:
     """The drone of a mission program; only the mission's own thread may call its methods.
 
     `plan` has the waypoints to visit, in flight order. Configured are `altitude_m`, above home, `action_s`, the
-    duration of an action at a waypoint, and `on_rows`, whether photos are taken without stopping. `home` is where
-    east and north are 0; None if no file says.
+    duration of an action at a waypoint, `on_rows`, whether photos are taken without stopping, and `second_look`, how
+    objects are looked at again, None without it. `home` is where east and north are 0; None if no file says.
     """
 
     plan: tuple[Waypoint, ...]
     altitude_m: float
     action_s: float
     on_rows: bool
+    second_look: SecondLook | None
     autopilot: Vehicle
     camera: Photographer
     payload: Payload
@@ -74,10 +78,12 @@ class Drone:
         services: frozenset[str],
         calls: Calls,
         answers: AnswerActions,
+        objects: ObjectActs,
         settle: Callable[[], None],
         leave: Callable[[], None],
         action_s: float = 0.0,
         on_rows: bool = False,
+        second_look: SecondLook | None = None,
     ) -> None:
         self.plan = plan
         self.altitude_m = altitude_m
@@ -90,6 +96,8 @@ class Drone:
         self._services = services
         self.action_s = action_s
         self.on_rows = on_rows
+        self.second_look = second_look
+        self._objects = objects
         self._calls = calls
         self._answers = answers
         self._settle = settle  # the answer that is open
@@ -187,6 +195,25 @@ class Drone:
         without `failed` that verb raises it. `tell` and `failed` may only notify: other verbs raise UsageError.
         """
         self._answers.tell(pending, tell, failed)
+
+    def act_once(
+        self,
+        pending: Pending[T],
+        act: Callable[[FoundObject], object],
+        *,
+        wanted: Callable[[FoundObject], object] | None = None,
+        tell: Callable[[T], object] | None = None,
+        failed: Callable[[Exception], object] | None = None,
+    ) -> None:
+        """Calls `act(found)` once for each object that answers of this flight show, over the object's place.
+
+        Findings of all answers within their stated error of each other are one object. The drone flies to the object
+        where the way gets least longer, at once or later, within `policy.act_within_s`. `wanted(found)` says which
+        objects are acted on, all by default. It is called again before the act. `tell` and `failed` are called as by
+        `when_answered`. Findings of an answer that have no place have one act together, where their photo was taken.
+        An object whose way a fence forbids is left out.
+        """
+        self._answers.take_up(self._objects.answer(pending, act, wanted=wanted, tell=tell, failed=failed))
 
     def _call(self, operation: Operation, method: Method, request: bytes) -> Any:
         self._settle()

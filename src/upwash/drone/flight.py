@@ -40,6 +40,8 @@ from upwash.drone.home import planned_home
 from upwash.drone.homecoming import Homecoming
 from upwash.drone.late_acts import LateActs
 from upwash.drone.mission import MissionThread, mission_failed
+from upwash.drone.object_acts import ObjectActs
+from upwash.drone.objects import FlightObjects
 from upwash.drone.payload import Payload
 from upwash.drone.pending import AnswerAction, AnswerActions, Calls
 from upwash.drone.photographer import Photographer
@@ -115,7 +117,7 @@ class Flight:
     be in the air. If no waypoint is left, the vehicle is brought to the ground. `ordered` is how that mission last
     ordered the vehicle to come down. `order` is the order of the waypoints, decided here if None. `speed_why` is the
     reason of a ground speed that was chosen. `parts` has the programs before sending, by their services' names.
-    `policy` stands in for the configured one.
+    `policy` stands in for the configured one. `objects` are those that the interrupted mission has acted on.
     """
 
     def __init__(
@@ -132,6 +134,7 @@ class Flight:
         order: Order | None = None,
         speed_why: str = "",
         policy: Policy | None = None,
+        objects: FlightObjects | None = None,
     ) -> None:
         self._mission = mission
         self._config = config
@@ -187,11 +190,13 @@ class Flight:
         )
         self._handle = VehicleHandle(self._vehicle)
         self._photos = AnsweredPhotos()
+        self._objects = objects or FlightObjects()
         self._calls = Calls(
             self._thread,
             self._offloading.invoke,
             ports.journal,
             photos=self._photos,
+            objects=self._objects,
             waypoint=lambda: self._vehicle.waypoint,
             several=self._offloading.server_calls is not None,
         )
@@ -549,6 +554,7 @@ class Flight:
                 ground=self._ports.ground,
                 album=self._ports.album,
                 photos=self._photos,
+                objects=self._objects,
             ),
             payload=payload,
             home=home.place if home else None,
@@ -563,7 +569,9 @@ class Flight:
                 rule=self._stay_rule,
                 outlook=self._offloading.outlook,
             ),
+            objects=ObjectActs(self._handle, self._calls, self._stay_rule),
             action_s=self._config.mission.action_s,
+            second_look=self._config.mission.second_look,
             on_rows=self._config.mission.photos is not None,
         )
 

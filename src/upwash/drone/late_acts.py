@@ -97,6 +97,7 @@ class LateActs:
                 extra_s=round(gap.extra_s, 1),
                 at_once_s=round(late.at_once_s, 1),
                 in_s=round(gap.in_s, 1),
+                object=answer.object,
             )
         )
         return True

@@ -23,6 +23,7 @@ from upwash.core.operation import Operation
 from upwash.core.planning.stay_or_go import Outlook, StayRule, StayVerdict
 from upwash.drone.answered_photos import AnsweredPhotos, NumberedPhoto
 from upwash.drone.mission import MissionThread
+from upwash.drone.objects import FlightObjects
 from upwash.errors import Unanswered, UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
@@ -88,7 +89,7 @@ class Pending(Generic[T]):
         self.operation = operation
         self._method = method
         self._waypoint = waypoint
-        self._photo = photo
+        self.photo = photo
         self._task: asyncio.Task[Any]  # the loop makes both before the mission's next verb
         self._hearing: Hearing
         self._is_taken = False
@@ -125,7 +126,7 @@ class Pending(Generic[T]):
 
     def _looked_at(self) -> contextlib.AbstractContextManager[None]:
         """A block during which the mission's program looks at the answer."""
-        return self._calls.photos.looking_at(self._photo)
+        return self._calls.photos.looking_at(self.photo)
 
     async def _over(self) -> float:
         """Returns once the last answer is there, or will never be, after how many seconds; for the loop."""
@@ -148,7 +149,7 @@ class Pending(Generic[T]):
 
     def _handed_over(self) -> T:
         """The last answer that is there, for the mission's program."""
-        self._calls.photos.hand_over(self._photo)
+        self._calls.photos.hand_over(self.photo)
         return self._answer()
 
     def _answer(self) -> T:
@@ -157,7 +158,7 @@ class Pending(Generic[T]):
     def _answer_of(self, reply: Any) -> T:
         """The answer in a reply; raises the call's exception."""
         answer = self._method.result(reply)
-        self._calls.photos.answered(answer, self._photo)
+        self._calls.photos.answered(answer, self.photo)
         return cast(T, answer)
 
     def _reply(self) -> Any:
@@ -272,6 +273,16 @@ class NoDemand(Demand[T]):
         return False
 
 
+class ActOnObject(Protocol):
+    """An act on an object, which is over with the answers of the calls that it leaves open."""
+
+    def begin_call(self) -> None:
+        """Note that the act has left a call open."""
+
+    def end_call(self, answer: AnswerAction[Any]) -> None:
+        """Take the answer of that call, or its failure."""
+
+
 class Calls:
     """Makes the mission's calls, from its thread; `waypoint` returns the drone's waypoint, None off the plan.
 
@@ -286,9 +297,12 @@ class Calls:
         *,
         waypoint: Callable[[], int | None],
         photos: AnsweredPhotos | None = None,
+        objects: FlightObjects | None = None,
         several: bool = False,
     ) -> None:
         self.photos = photos or AnsweredPhotos()
+        self.objects = objects or FlightObjects()
+        self.acting: ActOnObject | None = None  # the act that is under way
         self._thread = thread
         self._invoke = invoke
         self._journal = journal
@@ -446,6 +460,9 @@ class VehicleVerbs(Protocol):
     def leave_open(self, answer: AnswerAction[Any]) -> None:
         """Have the verbs that follow settle the answer."""
 
+    def owe(self, act: AnswerAction[Any]) -> None:
+        """Have the verbs that follow do the act, whose answer is there, or put it off."""
+
 
 class AnswerAction(Generic[T]):
     """What to do about an answer, from the call on until it is done: `act`, at its place, if the answer demands it.
@@ -473,6 +490,8 @@ class AnswerAction(Generic[T]):
         self._failed = failed
         self.place = vehicle.place()
         self.waypoint = index_of(self.place)
+        self.object: int | None = None  # the number of the object that is acted on
+        self._of: ActOnObject | None = None  # the act that made the call
         self.is_away = False  # whether the drone has left the waypoint
         self.is_over = False  # the act is done, or put off
         self._is_noted = self._is_learnt = False
@@ -508,7 +527,8 @@ class AnswerAction(Generic[T]):
             return
         self.is_away = True
         if not self._vehicle.fly(place, unless=self.demand, late=self):
-            self.come_back(0.0)
+            if not self.is_over:  # else its acts are done
+                self.come_back(0.0)
             self._vehicle.fly(place)
         elif self.pending.done() and not self.is_over:  # in the moment of the arrival, or demanding nothing
             self.settle(puts_off=True)
@@ -540,6 +560,8 @@ class AnswerAction(Generic[T]):
         self.learn()
         demanded = self.demand.holds()
         self.pending._take(waited_s, demanded=demanded)
+        if self._of is not None:
+            self._of.end_call(self)
         try:
             answer = self.pending._answer()
         except Exception as error:
@@ -551,6 +573,23 @@ class AnswerAction(Generic[T]):
                 self._have_told(partial(self._act, answer))
         if demanded:
             self._calls.note(schema.Acted(waypoint=self.waypoint))
+
+    def finish_on_ground(self) -> None:
+        """The same after the landing."""
+        self.finish(0.0)
+
+    def answer_if_any(self) -> T | None:
+        """The answer that is there; None if the call has failed."""
+        try:
+            return self.pending._answer()
+        except Exception:  # noqa: BLE001 - it is raised where the mission takes the answer
+            return None
+
+    def belongs_to(self, act: ActOnObject | None) -> None:
+        """Have the act that made the call go on until the answer is taken."""
+        self._of = act
+        if act is not None:
+            act.begin_call()
 
     def _have_told(self, do: Callable[[], object]) -> None:
         """Have the mission do that about the answer; it may fly only where it acts."""
@@ -571,6 +610,11 @@ class AnswerAction(Generic[T]):
         self._is_learnt = True
         place = position_of(self.place) if self.place is not None else None
         self._rule.answered(self.pending.took_s, demanded=self.demand.holds(), place=place)
+
+    @property
+    def is_held(self) -> bool:
+        """Whether nothing is done about it for now."""
+        return False
 
     @property
     def needs_server(self) -> bool:
@@ -611,11 +655,14 @@ class AnswerActions:
         self, demand: Demand[T], act: Callable[[T], object], failed: Callable[[Exception], object] | None
     ) -> None:
         """Waits for the answer and acts on it, or leaves it open and returns."""
-        answer = self._action(demand, act, failed)
+        self.take_up(self._action(demand, act, failed))
+
+    def take_up(self, answer: AnswerAction[Any]) -> None:
+        """Waits for the answer and settles it, or leaves it open and returns."""
         if self._vehicle.flies_rows or answer.needs_server:
             self._vehicle.leave_open(answer)
             return
-        if self._rule.manner != "stay" and not demand.pending.done():
+        if self._rule.manner != "stay" and not answer.pending.done():
             verdict = self._calls.do(self._judge(answer.place))
             self._calls.note(schema.StayOrGo(waypoint=answer.waypoint, **asdict(verdict)))
             if verdict.goes:
@@ -633,7 +680,9 @@ class AnswerActions:
     def _action(
         self, demand: Demand[T], act: Callable[[T], object], failed: Callable[[Exception], object] | None
     ) -> AnswerAction[T]:
-        return AnswerAction(self._vehicle, self._calls, self._rule, demand, act, failed=failed)
+        answer = AnswerAction(self._vehicle, self._calls, self._rule, demand, act, failed=failed)
+        answer.belongs_to(self._calls.acting)
+        return answer
 
     async def _judge(self, place: Place | None) -> StayVerdict:
         return self._rule.decide(self._outlook(), position_of(place) if place is not None else None)

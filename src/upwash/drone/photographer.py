@@ -32,6 +32,7 @@ from upwash.core.geo import (
 from upwash.core.vehicle.telemetry import Attitude, FixKind, GpsFix, Telemetry
 from upwash.drone.answered_photos import AnsweredPhotos
 from upwash.drone.mission import MissionThread
+from upwash.drone.objects import FlightObjects
 from upwash.drone.payload import Payload
 from upwash.errors import CameraError, NotWritten
 from upwash.eventlog import schema
@@ -63,6 +64,11 @@ class PhotoPose:
     heading_deg: float | None
     _geometry: PhotoGeometry | None
     _photos: AnsweredPhotos
+
+    @property
+    def gives_places(self) -> bool:
+        """Whether objects on the photo have places, as the camera's lens is known."""
+        return self._geometry is not None
 
     def place_of(self, found: object) -> Place | Unplaced:
         """Where an object lies that a service found on the photo, or why that is unknown.
@@ -105,6 +111,7 @@ class Photographer:
         ground: Callable[[Position], Ground] = level_ground,
         album: Album | None = None,
         photos: AnsweredPhotos | None = None,
+        objects: FlightObjects | None = None,
     ) -> None:
         self._camera = camera
         self._thread = thread
@@ -114,6 +121,7 @@ class Photographer:
         self._ground = ground
         self._album = album
         self._photos = photos or AnsweredPhotos()
+        self._objects = objects or FlightObjects()
         self._album_failed = False
         self._doubts = set[str]()  # the kinds that the log has
         self.pose: PhotoPose | None = None  # of the last photo
@@ -171,6 +179,7 @@ class Photographer:
                 above_sea_m=None if earth is None else _to_the_centimetre(earth.above_sea_m),
                 geometry=geometry,
                 truth=msgspec.to_builtins(photo.truth),
+                object=self._objects.under_way,
             )
         )
         return jpeg

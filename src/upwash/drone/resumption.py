@@ -9,6 +9,7 @@ from upwash.config import DroneConfig, movable_waypoints, waypoints
 from upwash.core.geo import Waypoint
 from upwash.core.planning.order import Order
 from upwash.core.vehicle.control import Owner
+from upwash.drone.objects import FlightObjects
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.progress import CallPlaces, OpenDemands
@@ -82,6 +83,20 @@ def order_begun(events: Iterable[Event], config: DroneConfig) -> Order | None:
     if sorted(planned.order) != sorted(by_index):
         raise UsageError("this log is of another plan: its order is of other waypoints than there are now")
     return Order(tuple(by_index[index] for index in planned.order), planned.order_why)
+
+
+def objects_acted_on(events: Iterable[Event]) -> FlightObjects:
+    """The objects that the mission has acted on, as logged."""
+    acted, last = list[schema.FoundRecord](), 0
+    for event in events:
+        match event:
+            case schema.LogOpened():
+                acted, last = [], 0
+            case schema.Demanded(object=schema.FoundRecord(number=number)):
+                last = max(last, number)
+            case schema.Acted(object=schema.FoundRecord() as record):
+                acted.append(record)
+    return FlightObjects(acted, last=last)
 
 
 def ordered_down(events: Iterable[Event]) -> ComingDown | None:

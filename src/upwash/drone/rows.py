@@ -311,6 +311,10 @@ class Rows:
             self.stop()
             self._wait_below(self._rules.at_most)
 
+    def owe(self, act: AnswerAction[Any]) -> None:
+        """Do the act, whose answer is there, or put it off."""
+        self._open.append(act)
+
     @property
     def _unheard(self) -> int:
         """How many open answers are not there and come without a server too; of two the first counts."""
@@ -372,7 +376,7 @@ class Rows:
             self._thread.call(one_answered(self._open))
             for answer in self._taken():
                 self._open.remove(answer)
-                answer.finish(0.0)
+                answer.finish_on_ground()
 
     def _wait_below(self, count: int) -> None:
         """Wait at rest until fewer answers are open, and meet their demands; come back where a plan has the way.
@@ -528,14 +532,18 @@ class Rows:
         self, waited_s: float = 0.0, *, but: Sequence[AnswerAction[Any]] = ()
     ) -> list[AnswerAction[Any]]:
         """The open answers that are there and have a demand, the nearest first; others that are there are taken."""
-        demanding, here = [], self._vehicle.position()
-        for answer in [answer for answer in self._open if answer.demand.is_due and answer not in but]:
-            if answer.demands():
-                demanding.append(answer)
-            elif answer.pending.done():
-                self._open.remove(answer)
-                answer.finish(waited_s)
-                waited_s = 0.0
+        demanding, seen, here = [], list(but), self._vehicle.position()
+        while due := [answer for answer in self._open if answer.demand.is_due and answer not in seen]:
+            for answer in due:  # those that are taken may owe acts
+                seen.append(answer)
+                if answer.is_held:
+                    continue
+                if answer.demands():
+                    demanding.append(answer)
+                elif answer.pending.done():
+                    self._open.remove(answer)
+                    answer.finish(waited_s)
+                    waited_s = 0.0
         return sorted(demanding, key=lambda answer: answer.away_m(here))
 
     def _fly_back(self, spot: Place) -> None:
@@ -642,7 +650,7 @@ class Rows:
 
         With `waits` it rests here until every answer is in.
         """
-        answers = [answer for answer in self._open if not (waits and answer.needs_server)]
+        answers = [answer for answer in self._open if not (answer.is_held or (waits and answer.needs_server))]
         waited_s = self._thread.call(_timed(one_answered(answers, waits=waits)))
         demanding = self._taken(waited_s)
         if demanding:

@@ -25,11 +25,12 @@ from upwash.config import (
     stands,
     waypoints,
 )
-from upwash.core.geo import Waypoint
+from upwash.core.geo import Position, Waypoint, ground_distance_m
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.operation import Operation
 from upwash.core.planning.answering import ServerBelief
 from upwash.core.planning.ground_speed import ChosenSpeed, SpeedLimit, choose_speed
+from upwash.core.planning.legs import Leg, Pace
 from upwash.core.planning.row_forecast import RowForecast, RowMission, forecast_rows
 from upwash.drone.preparation import home_s, make_estimates, mission_beliefs, two_answers
 from upwash.rpc.service import ServiceSpec
@@ -140,10 +141,20 @@ def row_missions(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> list[
         gain_switch=config.policy.gain_switch,
         newest=photos.order == "newest",
         at_most=photos.at_most,
-        action_s=mission.action_s,
+        action_s=mission.action_s + _second_look_s(config, plan, beliefs.pace),
         act_within_s=config.policy.acts_within_s,
     )
     return [replace(known, demanding=demanding) for demanding in _demanding(config, plan)]
+
+
+def _second_look_s(config: DroneConfig, plan: Sequence[Waypoint], pace: Pace) -> float:
+    """The seconds of a second look: down, the photo, and up again."""
+    look, speed_m_s = config.mission.second_look, config.mission.ground_speed_m_s
+    if look is None:
+        return 0.0
+    down_m = fmean(waypoint.position.altitude_m for waypoint in plan) - look.altitude_m
+    down = Leg(down_m, speed_m_s, pace.acceleration_m_s2, pace.settling_s)
+    return 2 * down.duration_s + config.camera.photo_s
 
 
 def own_answer_s(
@@ -168,6 +179,11 @@ def _call_s(estimates: Estimates, server: str, operation: Operation) -> float:
     return (estimates.local_s(operation) or 0.0) if remote_s is None else remote_s
 
 
+def _nearest(plan: Sequence[Waypoint], place: Position) -> int:
+    """The waypoint whose photo is likely to show an object at the place first."""
+    return min(range(len(plan)), key=lambda number: ground_distance_m(plan[number].position, place))
+
+
 def _demanding(config: DroneConfig, plan: Sequence[Waypoint]) -> list[frozenset[int]]:
     """Sets of photos whose answers demand an action, all as likely: one by `[event] every`, else some.
 
@@ -179,6 +195,8 @@ def _demanding(config: DroneConfig, plan: Sequence[Waypoint]) -> list[frozenset[
     event, known = config.event, demand_map_of(config, plan)
     if event is not None and event.every is not None:
         return [frozenset(range(event.offset, len(plan), event.every))]
+    if event is not None and event.objects:
+        return [frozenset(_nearest(plan, Position(each.east_m, each.north_m)) for each in event.objects)]
     if event is not None:
         chances = [event.chance(waypoint.position) for waypoint in plan]
     elif known is not None and any(known.places()):

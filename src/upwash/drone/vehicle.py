@@ -61,7 +61,8 @@ class Vehicle:
         self._found_flying = False  # it has taken off before this program began, and not landed since
         self._open: AnswerAction[Any] | None = None
         self._late = late
-        self._due: list[AnswerAction[Any]] = []  # acts that were put off to now, at stops
+        self._due: list[AnswerAction[Any]] = []  # acts that are done now, at stops
+        self._owed: list[AnswerAction[Any]] = []  # acts whose time is not decided, at stops
         self._acts = False
         self._rows = (
             Rows(
@@ -224,9 +225,11 @@ class Vehicle:
         if self._rows is not None:
             self._rows.settle(comes_back=comes_back)
             return
-        self._settle_open()
         here = self._legs.place
-        self._act(self._late.all())
+        self._settle_open()
+        while acts := self._late.all() + self._taken_owed():
+            self._act(acts)
+            self._settle_open()
         if comes_back and here is not None and here != self._legs.place:
             self._fly(here, back=True)
 
@@ -237,9 +240,28 @@ class Vehicle:
 
     def _act_before(self, place: Waypoint | Position) -> None:
         """Do the acts that were put off to here, and those that would be late further on."""
-        if self._late or self._due:
-            due = self._late.due_after(self._legs.place)
-            self._act(due + self._thread.call(self._late.due(Onwards(place, position_of(place)))))
+        if not (self._late or self._due or self._owed) or self._acts:
+            return
+        here, onwards = self._legs.place, Onwards(place, position_of(place))
+        due = self._late.due_after(here)
+        self._act([*due, *self._thread.call(self._late.due(onwards)), *self._owed_now(onwards)])
+        now = self._legs.place
+        if here and now and here != now and not self._legs.allows(position_of(now), position_of(place)):
+            self._fly(here, back=True)
+
+    def _owed_now(self, onwards: Onwards) -> list[AnswerAction[Any]]:
+        """The owed acts that are not put off."""
+        return [act for act in self._taken_owed() if not (act.demands() and self._is_put_off(act, onwards))]
+
+    def _taken_owed(self) -> list[AnswerAction[Any]]:
+        owed, self._owed = self._owed, []
+        return owed
+
+    def _is_put_off(self, act: AnswerAction[Any], onwards: Onwards) -> bool:
+        if not self._thread.call(self._late.puts_off(act, onwards, self._legs.allows)):
+            return False
+        act.put_off()
+        return True
 
     def _act(self, acts: Sequence[AnswerAction[Any]]) -> None:
         """Do these acts one after the other; those that an exception of one leaves are done with the next."""
@@ -259,11 +281,13 @@ class Vehicle:
         if target is None:
             return False
         end = position_of(target)
-        onwards = Onwards(target, end, end, rests=place is None)
-        if not self._thread.call(self._late.puts_off(answer, onwards, self._legs.allows)):
-            return False
-        answer.put_off()
-        return True
+        return self._is_put_off(answer, Onwards(target, end, end, rests=place is None))
+
+    def _owe(self, act: AnswerAction[Any]) -> None:
+        if self._rows is not None:
+            self._rows.owe(act)
+        else:
+            self._owed.append(act)
 
     def _leave(self) -> None:
         """Fly over the places after the last photo; not to return when there was no photo left to take."""
@@ -305,10 +329,7 @@ class Vehicle:
         try:
             while not unless.holds():
                 if unless.pending.done():
-                    if late is not None and late.only_tells:
-                        late.finish(0.0)
-                    self._thread.call(self._legs.arrive())
-                    return True
+                    return self._fly_on(place, late)
                 if self._thread.call(self._legs.until_answered(None, unless)):  # a better answer may come
                     return True
             if late is None:
@@ -321,6 +342,16 @@ class Vehicle:
             raise
         self._thread.call(self._legs.stop_short_of(position_of(place)))
         return False
+
+    def _fly_on(self, place: Waypoint | Position, late: AnswerAction[Any] | None) -> bool:
+        """Fly on to the place with an answer that demands nothing; False after acts on objects that it shows."""
+        if late is not None and late.only_tells:
+            late.finish(0.0)
+        end = position_of(place)
+        due = [] if self._acts else self._owed_now(Onwards(place, end, end, rests=False))
+        self._thread.call(self._legs.stop_short_of(end) if due else self._legs.arrive())
+        self._act(due)
+        return not due
 
     @contextlib.contextmanager
     def _settling(self, answer: AnswerAction[Any]) -> Iterator[AnswerAction[Any]]:
@@ -434,6 +465,7 @@ class VehicleHandle:
         self.turn = legs.turn
         self.leave = vehicle._leave
         self.puts_off = vehicle._puts_off
+        self.owe = vehicle._owe
         self.arrive = legs.arrive
         self.stop = legs.stop
 

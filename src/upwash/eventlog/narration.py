@@ -272,6 +272,28 @@ _LINES: Mapping[Tone, Mapping[type[Event], str]] = {
 _LINE_OF = {kind: (words, tone) for tone, lines in _LINES.items() for kind, words in lines.items()}
 
 
+def _of_act(event: schema.Demanded | schema.PutOff | schema.TurnedBack | schema.NotActed) -> Sentence:
+    """The sentence about an act, at a waypoint or at an object."""
+    waypoint = named(event.waypoint)
+    match event:
+        case schema.Demanded(failed=failed) if failed:
+            return Sentence(f"the call at {waypoint} failed: {failed}", Tone.TROUBLE)
+        case schema.Demanded(object=schema.FoundRecord(number=number, label=label)):
+            found = f"object {number} ({printable(label)})"
+            return Sentence(f"{found} is on the photo of {waypoint}: the drone will go there", Tone.FOUND)
+        case schema.Demanded():
+            return Sentence(f"the answer at {waypoint} asks for an act", Tone.FOUND)
+        case schema.PutOff(object=number, extra_s=extra_s, at_once_s=at_once_s):
+            where = waypoint if number is None else f"object {number}"
+            costs = f"{extra_s:.0f} s longer then, {at_once_s:.0f} s at once"
+            return Sentence(f"acting at {where} later: the way gets {costs}")
+        case schema.TurnedBack(object=number):
+            to = f"turning back to {waypoint}, for its answer"
+            return Sentence(to if number is None else f"flying to object {number}", Tone.FOUND)
+        case schema.NotActed(object=number, why=why):
+            return Sentence(f"not acting at object {number}: {why}")
+
+
 def _sentence(event: Event) -> Sentence | None:
     """The sentence of an event whose words depend on its content."""
     match event:
@@ -281,15 +303,8 @@ def _sentence(event: Event) -> Sentence | None:
             return Sentence(f"told the user: {in_one_line(message)}", Tone.FOUND)
         case schema.Planned(order_why=str(why)) if why:
             return Sentence(f"order of the waypoints: {why}")
-        case schema.Demanded(waypoint=waypoint, failed=failed):
-            if failed:
-                return Sentence(f"the call at {named(waypoint)} failed: {failed}", Tone.TROUBLE)
-            return Sentence(f"the answer at {named(waypoint)} demands something", Tone.FOUND)
-        case schema.PutOff(waypoint=waypoint, extra_s=extra_s, at_once_s=at_once_s):
-            costs = f"{extra_s:.0f} s longer then, {at_once_s:.0f} s at once"
-            return Sentence(f"acting at {named(waypoint)} later: the way gets {costs}")
-        case schema.TurnedBack(waypoint=waypoint):
-            return Sentence(f"turning back to {named(waypoint)}, for its answer", Tone.FOUND)
+        case schema.Demanded() | schema.PutOff() | schema.TurnedBack() | schema.NotActed():
+            return _of_act(event)
         case schema.PhotosWait(waiting=waiting):
             return Sentence(f"stopping on the row: {counted(waiting, 'photo')} without an answer")
         case schema.Foreseen():

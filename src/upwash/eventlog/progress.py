@@ -103,7 +103,8 @@ class CallPlaces:
             case schema.CallStarted(waypoint=waypoint):
                 self._under_way.append(waypoint)
             case schema.Call(waypoint=waypoint):
-                self.of_call = self.of_call_under_way if waypoint is None else waypoint
+                off_plan = waypoint is not None or None in self._under_way
+                self.of_call = waypoint if off_plan else self.of_call_under_way
                 if self.of_call in self._under_way:
                     self._under_way.remove(self.of_call)
                     self._untaken.append((self.of_call, self._calls))
@@ -124,20 +125,36 @@ class CallPlaces:
         return None
 
 
-DEMAND_EVENTS = frozenset({schema.CallStarted, schema.Demanded, schema.AnswerTaken, schema.Acted})
+DEMAND_EVENTS = frozenset(
+    {
+        schema.MissionStarted,
+        schema.CallStarted,
+        schema.Demanded,
+        schema.AnswerTaken,
+        schema.Acted,
+        schema.NotActed,
+    }
+)
 
 
 class OpenDemands:
     """What a flight, and the flights that resumed it, have left open, by waypoint.
 
     `answers`: started calls whose answers the mission has not taken. `demands`: answers whose demanded action is not
-    done. `failures`: failed calls without a reaction.
+    done. `failures`: failed calls without a reaction. An action on an object is open at the waypoint whose photo
+    showed that object first.
     """
 
     def __init__(self) -> None:
         self.answers: set[int | None] = set()
-        self.demands: set[int | None] = set()
         self.failures: set[int | None] = set()
+        self._demands: set[int | None] = set()
+        self._objects: dict[int, int | None] = {}  # the waypoint of each, by its number
+
+    @property
+    def demands(self) -> set[int | None]:
+        """The waypoints of answers whose demanded action is not done."""
+        return self._demands | set(self._objects.values())
 
     @property
     def waypoints(self) -> set[int | None]:
@@ -147,19 +164,26 @@ class OpenDemands:
     def take(self, event: Event) -> None:
         """Takes in the next event."""
         match event:
+            case schema.MissionStarted():  # a flight that is resumed asks again at these waypoints
+                self._demands |= set(self._objects.values())
+                self._objects.clear()
             case schema.CallStarted(waypoint=waypoint):
                 self.answers.add(waypoint)
+            case schema.Demanded(waypoint=waypoint, object=schema.FoundRecord(number=number)):
+                self._objects[number] = waypoint
+            case schema.Acted(object=schema.FoundRecord(number=number)) | schema.NotActed(object=number):
+                self._objects.pop(number, None)
             case schema.Demanded(waypoint=waypoint, failed=failed):
-                (self.failures if failed else self.demands).add(waypoint)
+                (self.failures if failed else self._demands).add(waypoint)
             case schema.AnswerTaken(waypoint=waypoint):
                 self._settle(waypoint)
                 if event.failed:
                     self.failures.add(waypoint)
                 elif event.demanded:
-                    self.demands.add(waypoint)
+                    self._demands.add(waypoint)
             case schema.Acted(waypoint=waypoint):
                 self._settle(waypoint)
 
     def _settle(self, waypoint: int | None) -> None:
-        for open_ones in (self.answers, self.demands, self.failures):
+        for open_ones in (self.answers, self._demands, self.failures):
             open_ones.discard(waypoint)

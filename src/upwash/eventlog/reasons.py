@@ -143,7 +143,7 @@ class Reasons:
                 self._arrived(waypoint, Position(east_m, north_m))
             case schema.StayOrGo(waypoint=waypoint):
                 self._going[waypoint] = event
-            case schema.TurnedBack(waypoint=waypoint, position=position):
+            case schema.TurnedBack(waypoint=waypoint, position=position, object=None):
                 self._turned[waypoint] = position
             case schema.AnswerTaken():
                 return self._explain_answer(event)

@@ -24,7 +24,7 @@ from upwash.core.operation import server_of
 from upwash.core.vehicle.control import Owner
 from upwash.core.vehicle.telemetry import FixKind
 
-VERSION = 5  # of the log; logs of earlier releases have none
+VERSION = 6  # of the log; logs of earlier releases have none
 SEVERITIES = (
     "emergency",
     "alert",
@@ -326,7 +326,8 @@ class PhotoTaken(Event, frozen=True, kw_only=True, omit_defaults=True, tag="phot
     """A photo: its source, size in bytes, age on delivery, place, and for a rendered photo the true objects in it.
 
     The place in degrees (WGS 84) and the altitude above the sea are absent if they are unknown. `geometry` decides
-    where what the photo shows lies on the ground; absent for a camera whose lens is unknown.
+    where what the photo shows lies on the ground; absent for a camera whose lens is unknown. With an
+    `object`, by its number in `demanded`, the photo was taken while the mission acted there: it is the second look.
     """
 
     source: Text
@@ -338,6 +339,7 @@ class PhotoTaken(Event, frozen=True, kw_only=True, omit_defaults=True, tag="phot
     above_sea_m: Number | None = None
     geometry: PhotoGeometry | None = None
     truth: _Few[Branch] | None = None
+    object: Count | None = None
 
 
 class AutopilotPhoto(Event, frozen=True, kw_only=True, omit_defaults=True):
@@ -427,30 +429,55 @@ class StayOrGo(Event, frozen=True, kw_only=True):
     lost_s: Number | None = None
 
 
+class FoundRecord(msgspec.Struct, frozen=True, omit_defaults=True):
+    """An object on the ground that photos of the flight show: its number in the flight, label, score and place.
+
+    `variance_m2` is that of the place: east's, east with north's, and north's; `apart_m` is the standard error of the
+    place against others of its photo. All three are absent for an object without a place.
+    """
+
+    number: Count
+    label: Text
+    score: Number | None = None
+    place: Position | None = None
+    variance_m2: tuple[Number, Number, Number] | None = None
+    apart_m: Number | None = None
+
+
 class Demanded(Event, frozen=True, kw_only=True, omit_defaults=True):
-    """An answer that arrived later demands an action at its waypoint, or its call `failed` for that reason."""
+    """An answer that arrived later demands an action at its waypoint, or its call `failed` for that reason.
+
+    With an `object` the action is at the place of that object, which the answer shows. The object has a `number` in
+    the flight, a `label`, and as far as known a `score` and a `place` on the ground.
+    """
 
     waypoint: Index | None
     failed: Text = ""
+    object: FoundRecord | None = None
 
 
-class TurnedBack(Event, frozen=True, kw_only=True):
-    """The drone flies back to a waypoint because its answer demands an action there or its call failed."""
+class TurnedBack(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """The drone flies back to a waypoint because its answer demands an action there or its call failed.
+
+    With an `object`, given by its number, it flies to the place of that object, and not to the waypoint.
+    """
 
     waypoint: Index | None
     position: Position
+    object: Count | None = None
 
 
-class PutOff(Event, frozen=True, kw_only=True):
+class PutOff(Event, frozen=True, kw_only=True, omit_defaults=True):
     """The drone puts the action at a waypoint off, as the way gets `extra_s` longer then, and `at_once_s` at once.
 
-    The action begins in `in_s` at the earliest.
+    The action begins in `in_s` at the earliest. With an `object`, given by its number, it is at that object's place.
     """
 
     waypoint: Index | None
     extra_s: Number
     at_once_s: Number
     in_s: Number
+    object: Count | None = None
 
 
 class AnswerTaken(Event, frozen=True, kw_only=True, omit_defaults=True):
@@ -465,10 +492,22 @@ class AnswerTaken(Event, frozen=True, kw_only=True, omit_defaults=True):
     failed: Text = ""
 
 
-class Acted(Event, frozen=True, kw_only=True):
-    """The mission has done what the answer demanded at the waypoint."""
+class Acted(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """The mission has done what the answer demanded at the waypoint.
+
+    With an `object` it has done that at the place of the object, and has the answers to the photos taken there.
+    """
 
     waypoint: Index | None
+    object: FoundRecord | None = None
+
+
+class NotActed(Event, frozen=True, kw_only=True):
+    """An action at the place of an object, given by its number, is left out, and why."""
+
+    waypoint: Index | None
+    object: Count
+    why: Text
 
 
 class Notified(Event, frozen=True, kw_only=True, omit_defaults=True):

@@ -53,7 +53,7 @@ from upwash.lab.observer import (
 from upwash.missions.bundled import is_bundled, load_mission, load_services, load_specs
 from upwash.ports import Camera, Dialer, Network
 from upwash.sim.autopilot import ModelAutopilot
-from upwash.sim.camera import ModelCamera, RenderedCamera, UnseenCamera, eventful, mistaken
+from upwash.sim.camera import ModelCamera, ObjectCamera, RenderedCamera, UnseenCamera, eventful, mistaken
 from upwash.sim.chance import Chance
 from upwash.sim.energy import EnergyMeter
 from upwash.sim.faults import Faults
@@ -393,13 +393,17 @@ def _camera(config: DroneConfig, chance: Chance) -> Camera:
         if is_bundled(config.mission.program):
             return UnseenCamera(camera.park_seed, photo_s=camera.photo_s)
         return RenderedCamera(camera.park_seed, photo_s=camera.photo_s, in_thread=False)
+    in_flight = config.mission.photos is not None
+    if config.event is not None and config.event.objects:
+        errors = chance.stream("errors of photos")
+        return ObjectCamera(config.event.objects, camera, in_flight=in_flight, chance=errors)
     places = waypoints(config.mission)
     events = eventful(config.event, places, chance)
     return ModelCamera(
         photo_s=camera.photo_s,
         events=[waypoint.position for waypoint in events],
         mistaken=mistaken(config.event, places, events, chance),
-        in_flight=config.mission.photos is not None,
+        in_flight=in_flight,
     )
 
 

@@ -22,7 +22,7 @@ from upwash.core.camera.georeference import Ground, level_ground
 from upwash.core.geo import Position
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.home import above_home
-from upwash.drone.resumption import order_begun, ordered_down, waypoints_done
+from upwash.drone.resumption import objects_acted_on, order_begun, ordered_down, waypoints_done
 from upwash.drone.speed import with_speed
 from upwash.errors import AutopilotError, NotWritten
 from upwash.eventlog import schema
@@ -118,6 +118,7 @@ async def fly(
             done=done,
             ordered=ordered,
             order=order_begun(read_events(log), config) if resumes else None,
+            objects=objects_acted_on(read_events(log)) if resumes else None,
             speed_why=speed_why,
         )
         await stack.enter_async_context(_tracking(flight, journal))

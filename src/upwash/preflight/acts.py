@@ -39,6 +39,8 @@ def events_share(config: DroneConfig) -> float:
         return 0.0
     if config.event.every is not None:
         return 1 / config.event.every
+    if config.event.objects:  # each has one act
+        return min(1.0, len(config.event.objects) / len(waypoints(config.mission)))
     chances = [config.event.chance(waypoint.position) for waypoint in waypoints(config.mission)]
     return fmean(chances) if config.event.areas else config.event.probability or 0.0
 
@@ -80,7 +82,8 @@ def fly_with_acts(
 def told_acts(config: DroneConfig, without: tuple[Prediction, ...] = (), acts: WithActs | None = None) -> str:
     """What answers have the drone do, in a sentence; empty where the drone stays and acts take no time."""
     if config.mission.only_tells:
-        return "answers only tell what was found, as mission.action_s is 0: the drone turns back for none"
+        why = "mission.action_s is 0 and there is no mission.second_look"
+        return f"answers only tell what was found, as {why}: the drone turns back for none"
     if config.mission.photos is not None:
         does = "the drone goes on before answers are there, and turns back for acts; "
     elif config.policy.stay_or_go != "stay":

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from typing import TypeAlias
 
+from upwash.core.camera.catalogue import Catalogue, Shift, Sighting
 from upwash.core.camera.georeference import Place
 from upwash.core.geo import GeoPosition, LocalFrame
-from upwash.report.catalogue import Catalogue, Shift, Sighting
 from upwash.report.findings import Finding
 from upwash.report.reviews import NO_REVIEWS, Review, Reviews, Verdict
 from upwash.support.text import counted, printable

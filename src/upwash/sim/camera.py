@@ -5,14 +5,16 @@ from __future__ import annotations
 import asyncio
 import functools
 import itertools
+import random
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from upwash.config import EventConfig
+from upwash.config import CameraConfig, EventConfig, ObjectConfig
 from upwash.core.camera.lens import Lens
 from upwash.core.geo import Position, Waypoint, ground_distance_m
 from upwash.ports import Photo
 from upwash.sim.chance import Chance
+from upwash.sim.drawn import ShownObject, drawn
 from upwash.sim.runtime import EVENT, mistake_of
 from upwash.support.loading import extra
 
@@ -24,6 +26,8 @@ _LENS = Lens(fov_deg=62.2, up_deg=0.0)  # of the photos of the solar park
 _PARK_PHOTO_BYTES = 430_000  # a usual rendered photo
 _JPEG = b"\xff\xd8\xff"
 _SAME_PLACE_M = 1.0
+_PHOTO_PX = 640, 480
+_OBJECT_M, _OFF_M, _LOWEST_M = 1.0, 1.0, 0.5
 
 
 class ModelCamera:
@@ -58,6 +62,57 @@ class ModelCamera:
             if ground_distance_m(at, place) < _SAME_PLACE_M:
                 photo += mistake_of(key)
         return Photo(photo, captured_s, source="model")
+
+
+class ObjectCamera:
+    """Takes photos, straight down and north up, of objects on level ground: bytes that name them, with a true size.
+
+    Each photo is off by an error of its own, as of a GPS. The shutter opens when the photo is there, or `in_flight`
+    at once.
+    """
+
+    def __init__(
+        self, objects: Sequence[ObjectConfig], camera: CameraConfig, *, in_flight: bool, chance: random.Random
+    ) -> None:
+        self._objects = objects
+        self._photo_s = camera.photo_s
+        self._size_px = camera.photo_px or _PHOTO_PX
+        self._lens = Lens(fov_deg=camera.fov_deg or _LENS.fov_deg, up_deg=0.0)
+        self._in_flight = in_flight
+        self._chance = chance
+
+    async def take_photo(self, at: Position) -> Photo:
+        """The photo from that position, after `photo_s`."""
+        asked_s = asyncio.get_running_loop().time()
+        await asyncio.sleep(self._photo_s)
+        captured_s = asked_s if self._in_flight else asyncio.get_running_loop().time()
+        off_m = self._chance.gauss(0.0, _OFF_M), self._chance.gauss(0.0, _OFF_M)
+        shown = [each for there in self._objects if (each := self._shown(there, at, off_m)) is not None]
+        width, height = (size.to_bytes(2) for size in self._size_px)
+        jpeg = b"\xff\xd8\xff\xc0\x00\x0b\x08" + height + width + b"\x01\x01\x11\x00\xff\xd9"
+        jpeg += (EVENT if shown else b"") + drawn(shown)
+        return Photo(jpeg, captured_s, source="model", lens=self._lens)
+
+    def _shown(self, there: ObjectConfig, at: Position, off_m: tuple[float, float]) -> ShownObject | None:
+        """The object in a photo from there; None beside it."""
+        if at.altitude_m < _LOWEST_M:
+            return None
+        width, height = self._size_px
+        px_per_m = self._lens.focal_in(self._size_px) / at.altitude_m
+        x_px = width / 2 + px_per_m * (there.east_m - at.east_m + off_m[0])
+        y_px = height / 2 - px_per_m * (there.north_m - at.north_m + off_m[1])
+        if not (0 <= x_px <= width and 0 <= y_px <= height):
+            return None
+        side_px = min(px_per_m * _OBJECT_M, width / 4)
+        score = round(self._chance.uniform(0.4, 0.95), 2)
+        return ShownObject(
+            there.label,
+            round(x_px - side_px / 2, 2),
+            round(y_px - side_px / 2, 2),
+            round(side_px, 2),
+            round(side_px, 2),
+            score,
+        )
 
 
 class UnseenCamera:

@@ -23,6 +23,7 @@ from upwash.rpc.arrays import array_hint
 from upwash.rpc.protocol import HEALTH_CHECK, SERVING, service_path
 from upwash.rpc.service import Method, Reduced, Request, ServiceSpec, carries_fault, with_queue
 from upwash.rpc.wire import Encoding
+from upwash.sim.drawn import shown_in
 from upwash.sim.faults import FaultyServer
 from upwash.sim.link import Observe, Switchboard, unobserved
 from upwash.support.background import never
@@ -291,7 +292,15 @@ def mistake_of(key: str) -> bytes:
 
 
 def reply_to(method: Method, request: bytes, key: str = "") -> bytes:
-    """A reply with an empty value of the method's result type, or a truthy value if the call sees an event."""
+    """A reply with an empty value of the method's result type, or a truthy value if the call sees an event.
+
+    Where the request has a photo of drawn objects, and the result may be a list of them, it is that list.
+    """
+    shown = shown_in(request)
+    if shown is not None:
+        with contextlib.suppress(msgspec.ValidationError):
+            plain = {"value": msgspec.to_builtins(shown)}
+            return method.reply.encode(msgspec.convert(plain, method.reply.type))
     return _reply(method.reply, (EVENT in request) != (mistake_of(key) in request))
 
 

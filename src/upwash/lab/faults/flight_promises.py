@@ -15,6 +15,7 @@ from upwash.lab.faults.history import (
     asks_servers,
     calls_of,
     deadline_of,
+    draws_objects,
     flies_rows,
     may_be_cut_short,
     within_s,
@@ -33,7 +34,7 @@ def autonomy(history: History) -> Iterator[Breach]:
             yield event, f"offloading ended for the rest of the flight: {event.why}"
     arrivals = (event.waypoint for event in events if isinstance(event, schema.Arrived))
     arrived = list(dict.fromkeys(arrivals))  # it may come back to one
-    if flies_rows(history.config) or asks_servers(history.config):
+    if flies_rows(history.config) or asks_servers(history.config) or draws_objects(history.config):
         arrived = [waypoint for waypoint in arrived if waypoint is not None]  # from a detour, or off the row
     planned = [waypoint.index for waypoint in waypoints(history.config.mission)]
     if arrived != planned[: len(arrived)]:
@@ -65,7 +66,8 @@ def no_harm(history: History) -> Iterator[Breach]:
     before answers are not judged: their losses depend on when answers come.
     """
     yield from _hedged_too_much(history)
-    if history.config.policy.stay_or_go != "stay" or flies_rows(history.config) or within_s(history.config):
+    config = history.config
+    if config.policy.stay_or_go != "stay" or flies_rows(config) or within_s(config) or draws_objects(config):
         return
     if history.alone is None or history.run.failure or history.alone.failure:
         return

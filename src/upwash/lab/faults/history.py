@@ -143,6 +143,11 @@ def asks_servers(config: DroneConfig) -> bool:
     return any(map(only_on_servers, config.services))
 
 
+def draws_objects(config: DroneConfig) -> bool:
+    """Whether the mission acts on objects, and leaves its way for them."""
+    return config.event is not None and bool(config.event.objects)
+
+
 def position_jumps(config: DroneConfig) -> bool:
     """Whether a log of this world may not say where the drone truly is."""
     return any(fault.kind == "jump" for fault in config.faults)

@@ -25,6 +25,7 @@ from upwash.lab.faults.flight_promises import (
 )
 from upwash.lab.faults.history import Breach, History, asks_servers
 from upwash.lab.faults.landing_promises import landings
+from upwash.lab.faults.object_promises import one_act_each
 from upwash.lab.faults.row_promises import on_the_move
 from upwash.lab.faults.selection_promises import in_range, one_selection, recovered, respect
 from upwash.lab.faults.sending_promises import less_to_send
@@ -61,6 +62,7 @@ class Promise(IntEnum):
     LESS_TO_SEND = 25
     TWO_SERVERS = 26
     LANDINGS = 27
+    OBJECTS = 28
 
     def __str__(self) -> str:
         return f"promise {self.value} ({self.name.lower().replace('_', ' ')})"
@@ -103,6 +105,7 @@ CHECKS: Mapping[Promise, Callable[[History], Iterator[Breach]]] = {
     Promise.LESS_TO_SEND: less_to_send,
     Promise.TWO_SERVERS: two_servers,
     Promise.LANDINGS: landings,
+    Promise.OBJECTS: one_act_each,
 }
 _OF_CALLS_ON_THE_DRONE = {  # what calls of services that only servers run need not keep
     Promise.BOUNDED_CALLS,

@@ -19,6 +19,7 @@ from upwash.config.reading import Document
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.faults import mission as probing
+from upwash.lab.faults import seeking
 from upwash.lab.observer import Observation
 from upwash.lab.worlds import LONGEST_FAULT_S, MOVING_KINDS, SERVER_KINDS, between, spell, stream
 
@@ -38,6 +39,7 @@ _LASTS_S = (0.02, 0.5, 2.0, 5.0, 12.0, 40.0, LONGEST_FAULT_S)  # of a fault
 _MOVED_M, _RAISED_M = (20.0, 100.0), (6.0, 15.0)  # by an incident, over the ground and up or down
 _ENDS_SHARE = 1 / 8  # of worlds: their returns hover or end at a rally point
 _RALLY_M = (8.0, 300.0)  # from the start
+_OBJECTS_APART_M = 14.0
 _RESERVE_PERCENT, _SECOND_LASTS_S = 65.0, (60.0, 320.0)
 SEEDS_PER_SCENARIO = 4  # so that most of the time goes into flights with faults
 _MOMENTS = (
@@ -439,6 +441,29 @@ def _with_deadlines(document: Document, chance: random.Random) -> Document:
     }
 
 
+def _with_objects(document: Document, chance: random.Random) -> Document:
+    """The mission acts on objects that are drawn near the waypoints."""
+    mission, (spotter, *others) = document["mission"], document["service"]
+    changed = {"two_answers", "before_sending", "deadline"} & spotter.keys()
+    if others or changed or not mission["program"].startswith(f"{probing.__name__}:look"):
+        return document
+    near_m = 0.3 * mission["altitude_m"]
+    objects = list[dict[str, Any]]()
+    for place in mission["waypoints_m"] * 3:
+        east_m, north_m = (round(each + chance.uniform(-near_m, near_m), 1) for each in place)
+        label = chance.choice(("deer", "stone"))
+        away_m = (math.hypot(each["east_m"] - east_m, each["north_m"] - north_m) for each in objects)
+        if min(away_m, default=math.inf) > _OBJECTS_APART_M:
+            objects.append({"label": label, "east_m": east_m, "north_m": north_m})
+    return {
+        **document,
+        "mission": {**mission, "program": f"{seeking.__name__}:look_for_objects"},
+        "service": [{**spotter, "program": f"{seeking.__name__}:Spotter"}],
+        "camera": {**document["camera"], "fov_deg": 62.2},
+        "event": {"objects": objects},
+    }
+
+
 _FEATURES: tuple[tuple[str, float | None, Callable[[Document, random.Random], Document]], ...] = (
     # the stream of a feature, the share of worlds without it unless it draws that itself, and what it changes
     ("peers", 0.5, _with_peers),
@@ -453,6 +478,7 @@ _FEATURES: tuple[tuple[str, float | None, Callable[[Document, random.Random], Do
     ("only servers", 0.88, _with_only_servers),
     ("less to send", 0.7, _with_less_to_send),
     ("deadlines", 0.8, _with_deadlines),
+    ("objects", 0.75, _with_objects),
 )
 
 

@@ -10,7 +10,8 @@ product of these:
 - the shift: a normal distribution of the error of the pose
 
 Two boxes of a photo are never one object, and neither are two labels. `settle` then moves photos and entries to where
-all photos agree best, and joins entries that no photo shows together although both were in view.
+all photos agree best, and joins entries that no photo shows together although both were in view. During a flight
+`join` does the latter alone.
 """
 
 from __future__ import annotations
@@ -135,8 +136,44 @@ class Catalogue:
                 self._centre()
                 for entry in self.entries:
                     self._relax(entry)
-            if not self._join():
+            if not self.join():
                 return
+
+    def join(self) -> int:
+        """Joins entries that are more probably one object than two; returns how many."""
+        of_none = math.log(self._boxes / self._area_m2)
+        found = []
+        for number, entry in enumerate(self.entries):
+            own_m = self._error_m(entry)
+            for other in self._within(entry.label, entry.east_m, entry.north_m, 2 * _GATE * own_m):
+                if other is entry or not entry.sightings.keys().isdisjoint(other.sightings):
+                    continue
+                spread_m = math.hypot(own_m, self._error_m(other))
+                away_m = math.hypot(entry.east_m - other.east_m, entry.north_m - other.north_m)
+                value = _log_normal(away_m, spread_m) - of_none
+                alone = min(len(entry.sightings), len(other.sightings))
+                value -= alone * math.log(_ALONE)
+                if value > 0 and away_m < _GATE * spread_m:
+                    found.append((-value, number, entry, other))
+        gone = set[int]()
+        for _, _, entry, other in sorted(found, key=lambda pair: pair[:2]):
+            if id(entry) in gone or id(other) in gone:
+                continue
+            if not entry.sightings.keys().isdisjoint(other.sightings):
+                continue
+            for photo, sighting in other.sightings.items():
+                exposure = self._photos[photo]
+                exposure.seen = [(seen, entry if seen is sighting else its) for seen, its in exposure.seen]
+            entry.sightings |= other.sightings
+            self._cell(other).remove(other)
+            gone.add(id(other))
+        self.entries = [entry for entry in self.entries if id(entry) not in gone]
+        return len(gone)
+
+    def entry_of(self, photo: int, number: int) -> Entry:
+        """The object of the sighting on that photo whose key is (photo, number)."""
+        key = photo, number
+        return next(entry for seen, entry in self._photos[photo].seen if seen.key == key)
 
     # --- a photo over the entries ---
 
@@ -233,37 +270,6 @@ class Catalogue:
                 exposure.shift[0] - sum(east for east, _ in around) / len(around),
                 exposure.shift[1] - sum(north for _, north in around) / len(around),
             )
-
-    def _join(self) -> int:
-        """Joins entries that are more probably one object than two; returns how many."""
-        of_none = math.log(self._boxes / self._area_m2)
-        found = []
-        for number, entry in enumerate(self.entries):
-            own_m = self._error_m(entry)
-            for other in self._within(entry.label, entry.east_m, entry.north_m, 2 * _GATE * own_m):
-                if other is entry or not entry.sightings.keys().isdisjoint(other.sightings):
-                    continue
-                spread_m = math.hypot(own_m, self._error_m(other))
-                away_m = math.hypot(entry.east_m - other.east_m, entry.north_m - other.north_m)
-                value = _log_normal(away_m, spread_m) - of_none
-                alone = min(len(entry.sightings), len(other.sightings))
-                value -= alone * math.log(_ALONE)
-                if value > 0 and away_m < _GATE * spread_m:
-                    found.append((-value, number, entry, other))
-        gone = set[int]()
-        for _, _, entry, other in sorted(found, key=lambda pair: pair[:2]):
-            if id(entry) in gone or id(other) in gone:
-                continue
-            if not entry.sightings.keys().isdisjoint(other.sightings):
-                continue
-            for photo, sighting in other.sightings.items():
-                exposure = self._photos[photo]
-                exposure.seen = [(seen, entry if seen is sighting else its) for seen, its in exposure.seen]
-            entry.sightings |= other.sightings
-            self._cell(other).remove(other)
-            gone.add(id(other))
-        self.entries = [entry for entry in self.entries if id(entry) not in gone]
-        return len(gone)
 
     def _error_m(self, entry: Entry) -> float:
         """The standard error of the entry among entries of other photos: those photos may all be off together."""

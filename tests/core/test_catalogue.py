@@ -8,9 +8,9 @@ from collections.abc import Iterable, Sequence
 
 import pytest
 
+from upwash.core.camera.catalogue import Catalogue, Entry, Sighting
 from upwash.core.camera.georeference import Place
 from upwash.core.geo import Position
-from upwash.report.catalogue import Catalogue, Entry, Sighting
 
 HALF_M = 12.0  # of a photo's side
 Spot = tuple[str, float, float]
