@@ -96,6 +96,15 @@ def test_a_drone_that_stays_waits_for_the_first_answer_alone() -> None:
     assert both.result.mission_time_s == pytest.approx(light.result.mission_time_s + last_s, abs=0.1)
 
 
+def test_the_next_call_does_not_wait_for_a_better_answer_to_one_whose_act_was_put_off() -> None:
+    grid = {"columns": 3, "rows": 1, "spacing_m": 40.0}
+    mission = {"ground_speed_m_s": 12.0, "grid": grid}
+    by_rules = {"policy": {"stay_or_go": "go"}, "vehicle": {"profile": "arducopter"}}
+    run = fly(event={"every": 1}, mission=mission, **by_rules)
+    assert [event.waypoint for event in of(list(run.events), schema.PutOff)] == [0, 1]
+    assert acted(run) == [2, 1, 0]
+
+
 @pytest.mark.parametrize("mission", [{}, ROWS], ids=["stops", "rows"])
 def test_without_a_server_the_first_answer_counts_alone_and_nothing_waits(mission: dict[str, Any]) -> None:
     alone, light = fly(mission=mission), fly(two=None, mode="light", mission=mission)

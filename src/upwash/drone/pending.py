@@ -359,6 +359,11 @@ class Calls:
             self._under_way, self._dropped = None, call
         self._thread.post(lambda: call._hearing.enough.set())  # noqa: PLW0108 - the loop makes it
 
+    def let_go(self, call: Pending[Any]) -> None:
+        """Let the mission make its next call: of one call at a time, no better answer comes to this one."""
+        if not self._several and not call.done():
+            self.do(call._ended_now())
+
     def beside_a_leg(self, is_beside: bool) -> contextlib.AbstractContextManager[None]:
         """A block during which the mission may only notify, if `is_beside`."""
         return self._thread.only_messages() if is_beside else contextlib.nullcontext()
@@ -599,6 +604,7 @@ class AnswerAction(Generic[T]):
     def put_off(self) -> None:
         """Note that the act is put off: the answer is none that is waited for."""
         self.is_over = True
+        self._calls.let_go(self.pending)
         self.learn()
 
     def learn(self) -> None:

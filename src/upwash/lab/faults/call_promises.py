@@ -319,15 +319,28 @@ def _acts_later(history: History) -> bool:
 def _miscounted(known: DemandMap, events: Sequence[Event]) -> Iterator[Breach]:
     """A mission that ends between the count and its event has one more answer in its map."""
     taken = [event for event in events if isinstance(event, schema.AnswerTaken)]
-    put_off = {event.waypoint for event in events if isinstance(event, schema.PutOff)}
-    waiting = len(put_off - {event.waypoint for event in taken})  # for acts: they are counted already
+    waiting, open_ = _waiting_for_acts(events)
     places = list(known.places())
     for what, count, logged in (
         ("answers", sum(place.answers for place in places), len(taken) + waiting),
         ("demands", sum(place.demands for place in places), sum(event.demanded for event in taken) + waiting),
     ):
-        if not logged <= count <= logged + 1:
+        if not logged <= count <= logged + open_ + 1:
             yield None, f"the map of demands counts {count:g} {what}, and the log {logged}"
+
+
+def _waiting_for_acts(events: Sequence[Event]) -> tuple[int, int]:
+    """How many answers wait for acts that were put off, and are counted; and how many may have a better one first."""
+    called, put_off = set[int | None](), dict[int | None, bool]()
+    for event in events:
+        match event:
+            case schema.Call():
+                called.add(event.waypoint)
+            case schema.PutOff():
+                put_off.setdefault(event.waypoint, event.waypoint in called)
+            case schema.AnswerTaken():
+                put_off.pop(event.waypoint, None)
+    return sum(put_off.values()), len(put_off) - sum(put_off.values())
 
 
 def _done_elsewhere(events: Sequence[Event], places: Sequence[Position], near_m: float) -> Iterator[Breach]:
