@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from msgspec.structs import replace
 
-from upwash.config import DroneConfig, plan_notices
+from upwash.config import DroneConfig, file_notices
 from upwash.core.policies.names import POLICIES, is_own
 from upwash.errors import UsageError
 from upwash.mavlink.connection import parse_connection
@@ -162,9 +162,9 @@ def flown_by(config: DroneConfig, connection: str | None) -> DroneConfig:
     return replace(config, autopilot=replace(config.autopilot, connection=connection))
 
 
-def warn_of_plans(config: DroneConfig) -> None:
-    """Print to standard error what of the plans is flown differently, or not at all."""
-    for notice in plan_notices(config):
+def warn_of_files(config: DroneConfig) -> None:
+    """Print to standard error what of the plans is flown differently, or not at all, and which maps are damaged."""
+    for notice in file_notices(config):
         sys.stderr.write(f"upwash: notice: {notice}\n")
 
 

@@ -21,7 +21,7 @@ from upwash.cli.arguments import (
     figures_with,
     option,
     policy_instead_of,
-    warn_of_plans,
+    warn_of_files,
 )
 from upwash.errors import UpwashError, UsageError
 from upwash.eventlog import schema
@@ -59,7 +59,7 @@ ARGUMENTS = {
 def run(options: argparse.Namespace) -> None:
     """Simulate and print the results."""
     config = read_scenario(options.scenario, policy=options.policy, seed=options.seed)
-    warn_of_plans(config)
+    warn_of_files(config)
     if config.drones:
         _run_fleet(options)
     else:
