@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
@@ -17,7 +16,7 @@ from upwash.errors import CameraError, UpwashError, UsageError
 from upwash.ports import Photo
 from upwash.services.ros_image import jpeg_of_message
 from upwash.support.background import in_thread
-from upwash.support.text import printable, words_of, worded
+from upwash.support.text import printable, worded, words_of
 
 _TYPES = get_typestore(Stores.ROS2_HUMBLE)
 _IMAGES = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
