@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 
-from upwash.cli.arguments import OneOf, option
+from upwash.cli.arguments import OneOf, option, reads
 from upwash.cli.other_policies import OTHERS_FLY
 from upwash.lab.explanation import CallChoice, show_explanation
 
 ARGUMENTS = {
-    "log LOG": "an event log, of `fly`, `demo` or `simulate`",
-    "--scenario FILE": OTHERS_FLY,
+    "log LOG": reads("an event log, of `fly`, `demo` or `simulate`"),
+    "--scenario FILE": reads(OTHERS_FLY),
     "--drone NAME": "the drone of that world whose policy changes (default: the log's)",
     "calls": OneOf(
         {

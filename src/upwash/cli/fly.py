@@ -24,6 +24,7 @@ from upwash.cli.arguments import (
     new_run_folder,
     option,
     warn_of_files,
+    writes,
 )
 from upwash.cli.exit_codes import MEANINGS
 from upwash.config import DroneConfig, never_offloaded, read_drone_config, refuse_several, waypoints
@@ -65,8 +66,8 @@ ARGUMENTS = {
     "--autopilot CONNECTION": "instead of the configured one",
     "log": OneOf(
         {
-            "--log": option("where the event log goes (default: runs/TIME/events.jsonl)", type=Path),
-            "--resume LOG": "take up the mission that this event log is of, where it broke off",
+            "--log": writes("where the event log goes (default: runs/TIME/events.jsonl)"),
+            "--resume LOG": writes("take up the mission that this event log is of, where it broke off"),
         }
     ),
     "shown": OneOf(

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
-from upwash.cli.arguments import option
+from upwash.cli.arguments import PRINTED, reads, writes
 from upwash.cli.other_policies import OTHERS_FLY, others_flown
 from upwash.errors import UsageError
 from upwash.report.exports import write_csv, write_geojson, write_json
@@ -23,19 +23,20 @@ from upwash.view.file import write_page
 
 Writer = Callable[[Sequence[Record]], bytes | Iterable[bytes]]
 
-_PRINTED = Path("-")
-
-
 ARGUMENTS = {
-    "logs LOG": option("an event log, flown or simulated", nargs="+"),
-    "-o --out FILE": "an HTML page about all of them, side by side",
-    "--csv FILE": "a row for each call; - prints it",
-    "--geojson FILE": "tracks, waypoints, ranges, calls and photos",
-    "--findings FILE": "each thing that was found, as .csv, .geojson or .kml; as .zip all three, with pictures",
-    "--mcap FILE": "a recording that Foxglove opens",
-    "--bag DIR": "a ROS 2 bag, a new folder",
-    "--scenario FILE": OTHERS_FLY,
-    "--photos DIR": "with -o, --mcap, --bag or --findings: the folder of the photos that the logs name",
+    "logs LOG": reads("an event log, flown or simulated", nargs="+"),
+    "-o --out FILE": writes("an HTML page about all of them, side by side"),
+    "--csv FILE": writes("a row for each call; - prints it"),
+    "--geojson FILE": writes("tracks, waypoints, ranges, calls and photos"),
+    "--findings FILE": writes(
+        "each thing that was found, as .csv, .geojson or .kml; as .zip all three, with pictures"
+    ),
+    "--mcap FILE": writes("a recording that Foxglove opens"),
+    "--bag DIR": writes("a ROS 2 bag, a new folder"),
+    "--scenario FILE": reads(OTHERS_FLY),
+    "--photos DIR": reads(
+        "with -o, --mcap, --bag or --findings: the folder of the photos that the logs name"
+    ),
     "--json": "print the results as one JSON array",
 }
 
@@ -48,7 +49,7 @@ def run(options: argparse.Namespace) -> None:
         (options.geojson, _in_utf8(write_geojson)),
         (options.findings, functools.partial(_findings, file=options.findings, photos=options.photos)),
         (options.mcap, functools.partial(_recording, photos=options.photos)),
-        (_PRINTED if options.json else None, _in_utf8(lambda records: write_json(records) + "\n")),
+        (PRINTED if options.json else None, _in_utf8(lambda records: write_json(records) + "\n")),
     ]
     if options.photos and not (options.mcap or options.out or options.findings or options.bag):
         raise UsageError("--photos goes with -o, --mcap, --bag or --findings: nothing else has photos in it")
@@ -65,7 +66,7 @@ def run(options: argparse.Namespace) -> None:
             "nothing to make: ask for -o FILE, --csv FILE, --geojson FILE, --findings FILE, --mcap FILE, --bag DIR "
             "or --json"
         )
-    if [file for file, _ in wanted].count(_PRINTED) > 1:
+    if [file for file, _ in wanted].count(PRINTED) > 1:
         raise UsageError("two outputs would be printed as one: name a file for all but one of them")
     if options.bag:
         with extra("bag"):
@@ -77,7 +78,7 @@ def run(options: argparse.Namespace) -> None:
             written.append((file, write(records)))
             done()
     for file, content in written:
-        if file == _PRINTED:
+        if file == PRINTED:
             print_bytes(content)
         else:
             write_file(file, content)

@@ -6,7 +6,7 @@ import argparse
 import asyncio
 from typing import Any
 
-from upwash.cli.arguments import announce, option, repeated
+from upwash.cli.arguments import announce, option, reads, repeated
 from upwash.core.geo import GeoPosition
 from upwash.errors import UsageError
 from upwash.launch.vehicle import run_vehicle
@@ -106,7 +106,7 @@ ARGUMENTS = {
         "arducopter: difference of its GPS's time of day from this machine's clock", type=float, default=0.0
     ),
     "--one-peer": "px4, UDP: answer only the first sender until a restart, as a real one",
-    "--signing-key FILE": "sign all messages with its key, and obey only messages signed with it",
+    "--signing-key FILE": reads("sign all messages with its key, and obey only messages signed with it"),
 }
 
 

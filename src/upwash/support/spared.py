@@ -1,0 +1,141 @@
+"""The files that a command reads are none that it writes: compared as files, not as names.
+
+Links, other ways to write a path, and names that differ only in case or composition are the same file. Devices and
+pipes are none. A command declares its files as it begins; what it reads later, and what it names itself, is compared
+with these.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import stat
+import unicodedata
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from upwash.errors import UsageError
+
+Identity = tuple[object, ...]
+
+_IN_FOLDERS = {".jpg", ".jpeg", ".png", ".txt"}  # inputs that a folder stands for: photos and their labels
+
+
+class Output(NamedTuple):
+    """What an option names: a file or a new folder, or with `is_filled` a folder that files go into."""
+
+    option: str
+    path: Path
+    is_filled: bool = False
+
+
+class _Declared(NamedTuple):
+    """The files of a command: what names each input, and the outputs."""
+
+    inputs: Mapping[Identity, str] = {}
+    outputs: Mapping[Identity, Output] = {}
+
+
+_declared = _Declared()  # by the one command that a process runs
+
+
+@contextlib.contextmanager
+def sparing(inputs: Iterable[tuple[str, Path]], outputs: Iterable[Output]) -> Iterator[None]:
+    """While the block lasts, no output replaces one of the inputs, each with the option that names it.
+
+    Raises UsageError, at once, for an output that is an input or another output, and for one that is in another's
+    place or has it within.
+    """
+    global _declared  # noqa: PLW0603
+    read = {identity: option for option, path in inputs if (identity := _identity(path))}
+    before, _declared = _declared, _Declared(read, _written(outputs, read))
+    try:
+        yield
+    finally:
+        _declared = before
+
+
+def require_unnamed(document: object, file: Path) -> None:
+    """Raise UsageError where an output of the command is a file that a configuration names, wherever it does."""
+    for word in _words(document) if _declared.outputs else ():
+        path = file.absolute().parent / (word.rpartition(":")[0] if ".py:" in word else word)
+        output = _declared.outputs.get(_identity(path)) if word and _exists(path) else None
+        if output is not None and not output.is_filled:
+            raise UsageError(
+                f"{output.option}: {file} names {output.path}, which is read: name another output"
+            )
+
+
+def require_spared(file: Path) -> None:
+    """Raise UsageError for an input of the command; of an output that no option names by itself."""
+    if _declared.inputs and (option := _declared.inputs.get(_identity(file))):
+        raise UsageError(f"{file} would be replaced, and is read ({option}): name another output")
+
+
+def _written(outputs: Iterable[Output], read: Mapping[Identity, str]) -> Mapping[Identity, Output]:
+    written: dict[Identity, Output] = {}
+    for output in outputs:
+        if not (identity := _identity(output.path)):
+            continue
+        _require_place(output)
+        other = written.get(identity)
+        same = "" if output.is_filled and output.path.is_dir() else read.get(identity, "")
+        if other is not None and not (output.is_filled and other.is_filled):
+            same = other.option
+        if same:
+            raise UsageError(
+                f"{output.option} and {same} are the same file, {output.path}: name another output"
+            )
+        written[identity] = output
+    for output in written.values():
+        for folder in map(_identity, Path(os.path.realpath(output.path)).parents):
+            around = written.get(folder)
+            if around is not None and not around.is_filled:
+                raise UsageError(
+                    f"{output.option}: {output.path} would be within {around.option}: name another output"
+                )
+            if folder in read and output.path.suffix.lower() in _IN_FOLDERS and output.path.exists():
+                raise UsageError(
+                    f"{output.option}: {output.path} is a file of {read[folder]}: name another output"
+                )
+    return written
+
+
+def _require_place(output: Output) -> None:
+    if output.path.is_dir() and not output.is_filled:
+        raise UsageError(
+            f"{output.option}: {output.path} is a folder: give the name of a file, or of a new folder"
+        )
+    if output.is_filled and output.path.exists() and not output.path.is_dir():
+        raise UsageError(f"{output.option}: {output.path} is a file: give the name of a folder")
+
+
+def _identity(path: Path) -> Identity:
+    """The same for all names of a file, also of one that is yet to be made; empty for devices and pipes."""
+    whole = Path(os.path.realpath(path))
+    try:
+        found = whole.stat()
+    except (OSError, ValueError):
+        name = unicodedata.normalize("NFC", whole.name).casefold()
+        return (*_identity(whole.parent), name) if whole.parent != whole else (name,)
+    is_file = stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode)
+    return (found.st_dev, found.st_ino) if is_file else ()
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # no path at all
+        return False
+
+
+def _words(document: object) -> Iterator[str]:
+    if isinstance(document, str):
+        yield document
+    elif isinstance(document, dict):
+        for value in document.values():
+            yield from _words(value)
+    elif isinstance(document, list):
+        for value in document:
+            yield from _words(value)
