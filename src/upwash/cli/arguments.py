@@ -20,6 +20,7 @@ from upwash.errors import UsageError
 from upwash.mavlink.connection import parse_connection
 from upwash.support.loading import extra
 from upwash.support.spared import Output
+from upwash.support.text import number_of
 
 if TYPE_CHECKING:  # a flight does without the room of simulations
     from upwash.lab.figures import FigureFiles
@@ -32,9 +33,24 @@ _FORMATS = ("png", "pdf", "svg")
 
 def count(text: str) -> int:
     """A whole number from 1 on."""
-    if not text.isdecimal() or int(text) < 1:
+    if not (text.isascii() and text.isdecimal()) or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 on")
     return int(text)
+
+
+def whole(text: str) -> int:
+    """A whole number."""
+    if not (text.isascii() and text.removeprefix("-").isdecimal()):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number")
+    return int(text)
+
+
+def number(text: str) -> float:
+    """A number."""
+    try:
+        return number_of(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def seeds(text: str) -> range:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from upwash.cli.arguments import OneOf, option, reads
+from upwash.cli.arguments import OneOf, option, reads, whole
 from upwash.cli.other_policies import OTHERS_FLY
 from upwash.lab.explanation import CallChoice, show_explanation
 
@@ -14,7 +14,7 @@ ARGUMENTS = {
     "--drone NAME": "the drone of that world whose policy changes (default: the log's)",
     "calls": OneOf(
         {
-            "--waypoint N": option("the calls of that waypoint alone", type=int),
+            "--waypoint N": option("the calls of that waypoint alone", type=whole),
             "--worst N": "only the N calls that lost most against the best place expected for them",
         }
     ),

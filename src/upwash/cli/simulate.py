@@ -23,6 +23,7 @@ from upwash.cli.arguments import (
     policy_instead_of,
     reads,
     warn_of_files,
+    whole,
     writes,
 )
 from upwash.config import DroneConfig
@@ -50,7 +51,7 @@ _PRINTED_OF_FLEET = ("scenario", "seed", "mean_s", "worst_s", "jain", "saved_s",
 ARGUMENTS = {
     "scenario": reads("the scenario, a TOML file"),
     **policy_instead_of("the scenario's"),
-    "--seed N": option("instead of the scenario's", type=int),
+    "--seed N": option("instead of the scenario's", type=whole),
     "shown": OneOf({"--json": "print the result as one JSON object", **CALLS}),
     "--log FILE": writes(
         "where the event log goes, or those of several drones as FILE-NAME (default: nowhere)"

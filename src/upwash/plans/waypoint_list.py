@@ -18,6 +18,7 @@ from upwash.plans.items import (
     home_at,
 )
 from upwash.plans.plan import FlightPlan, PlanNotices
+from upwash.support.text import number_of
 
 HEADER = "QGC WPL"
 _VERSION = "110"
@@ -119,6 +120,6 @@ def _whole(line: int, field: str) -> int:
 
 def _real(line: int, field: str) -> float:
     try:
-        return float(field)
+        return number_of(field)
     except ValueError:
         raise PlanRefusal(f"line {line}", f'expected a number, found "{field[:40]}": {_SAVED_ANEW}') from None

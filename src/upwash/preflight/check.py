@@ -178,16 +178,19 @@ def beliefs(config: DroneConfig, run: Run) -> Iterator[Belief]:
 
 def _refusals(config: DroneConfig, alone: Run) -> Iterator[PreflightWarning]:
     """What `upwash fly` would refuse, and failures of the camera and the services in flight."""
-    if not is_for_flight(config):
+    camera, is_flown = config.camera, is_for_flight(config)
+    if not is_flown and (camera.calibration, camera.terrain, camera.keep) == (None, None, None):
         return
     # these import the whole flight program
     from upwash.launch.cameras import NO_CAMERA, Look, look, needs_camera
-    from upwash.launch.readiness import expiry_trouble, refusals
+    from upwash.launch.readiness import expiry_trouble, file_refusals, refusals
     from upwash.launch.survey import services_in_trouble
 
-    refused = list(refusals(config))
+    refused = list(refusals(config) if is_flown else file_refusals(config))
     for refusal in refused:
         yield PreflightWarning(refusal.kind, str(refusal.error))
+    if not is_flown:
+        return
     if trouble := expiry_trouble(config):
         yield PreflightWarning("certificate-ends", trouble)
     if not needs_camera(config) and any(isinstance(event, schema.PhotoTaken) for event in alone.events):
