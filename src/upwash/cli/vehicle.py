@@ -62,15 +62,13 @@ def _glitch(text: str) -> dict[str, float]:
     size, _, cleared = text.partition(":")
     try:
         found = {"glitch_m": number_of(size)}
-        return (
-            found | {"glitch_cleared_after_s": math.inf if cleared == "inf" else number_of(cleared)}
-            if cleared
-            else found
-        )
+        if cleared:
+            found["glitch_cleared_after_s"] = math.inf if cleared == "inf" else number_of(cleared)
     except ValueError:
         raise argparse.ArgumentTypeError(
             f'"{text}" is no glitch: write metres, such as 30 or 30:12'
         ) from None
+    return found
 
 
 _RALLY_WITHIN_M = 1_000.0

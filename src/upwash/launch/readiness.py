@@ -56,11 +56,14 @@ def file_refusals(config: DroneConfig) -> Iterator[FlightRefusal]:
 
 
 def _refused(steps: Iterable[tuple[str, Callable[[], object]]]) -> Iterator[FlightRefusal]:
+    told = set()
     for kind, step in steps:
         try:
             step()
         except UpwashError as error:
-            yield FlightRefusal(kind, error)
+            if str(error) not in told:  # a camera opens its calibration too
+                yield FlightRefusal(kind, error)
+            told.add(str(error))
 
 
 def _steps(config: DroneConfig, *, valid_now: bool) -> Iterator[tuple[str, Callable[[], object]]]:
@@ -71,9 +74,9 @@ def _steps(config: DroneConfig, *, valid_now: bool) -> Iterator[tuple[str, Calla
         yield "no-address", functools.partial(require_address, server)
         yield "no-keys", functools.partial(require_certificates, server, config)
     yield "certificate", functools.partial(drone_credentials, config, valid_now=valid_now)
+    yield from _file_steps(config)
     if needs_camera(config):
         yield "no-camera", functools.partial(camera_without_device, config.camera)
-    yield from _file_steps(config)
     if config.network.kind == "networkmanager":
         yield "extra", functools.partial(_require, "network", "upwash.real.network.network")
     if config.user != UserConfig():
