@@ -29,10 +29,8 @@ stay_or_go = "learn"
 demand_map = "demands.json"
 [event]
 every = 2
-[camera]
-park_seed = 1
 """
-_RESUMED = "fly --config s.toml --autopilot udpout:127.0.0.1:9 --resume"
+_RESUMED = "fly --config drone.toml --autopilot udpout:127.0.0.1:9 --resume"
 WRITTEN = {
     "an event log": ("simulate s.toml --log flown.jsonl", "flown.jsonl", "report flown.jsonl --json"),
     "a log, continued": ("simulate s.toml --log flown.jsonl", "flown.jsonl", f"{_RESUMED} flown.jsonl"),
@@ -65,6 +63,7 @@ def test_a_file_that_is_cut_off_anywhere_is_read_or_refused_in_a_sentence(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("s.toml").write_text(SCENARIO)
+    Path("drone.toml").write_text(SCENARIO.partition("[event]")[0] + "[camera]\npark_seed = 1\n")
     write, written, read = WRITTEN[name]
     assert main(write.split()) == ExitCode.DONE
     for content in cut(Path(written)):
