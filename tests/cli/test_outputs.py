@@ -156,6 +156,8 @@ DRONE = """
 waypoints_m = [[0, 0]]
 [vehicle]
 track_csv = "flown.csv"
+[camera]
+folder = "photos"
 [[service]]
 name = "detector"
 program = "mine.py:Mine"
@@ -165,7 +167,7 @@ model = "model.onnx"
 """
 
 
-@pytest.mark.parametrize("named", ["flown.csv", "mine.py", "model.onnx"])
+@pytest.mark.parametrize("named", ["flown.csv", "mine.py", "model.onnx", "photos/1.jpg"])
 @pytest.mark.parametrize(
     "command",
     [
@@ -185,9 +187,11 @@ def test_no_output_is_a_file_that_the_configuration_names(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("d.toml").write_text(DRONE)
+    Path(named).parent.mkdir(exist_ok=True)
     Path(named).write_text("a flown track")
     assert main([*command.split(), named]) == 2
-    assert f"names {named}, which is read" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert f"names {named}, which is read" in said or f"{named} is a file of --photos" in said
     assert Path(named).read_text() == "a flown track"
 
 

@@ -93,6 +93,8 @@ def _file_steps(config: DroneConfig) -> Iterator[tuple[str, Callable[[], object]
         yield "no-terrain", functools.partial(_terrain, config)
     if camera.keep is not None:
         yield "no-folder", functools.partial(require_room_for, camera.keep)
+    if camera.folder is not None or camera.bag is not None:
+        yield "no-camera", functools.partial(camera_without_device, camera)
 
 
 def _terrain(config: DroneConfig) -> None:

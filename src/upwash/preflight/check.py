@@ -179,7 +179,8 @@ def beliefs(config: DroneConfig, run: Run) -> Iterator[Belief]:
 def _refusals(config: DroneConfig, alone: Run) -> Iterator[PreflightWarning]:
     """What `upwash fly` would refuse, and failures of the camera and the services in flight."""
     camera, is_flown = config.camera, is_for_flight(config)
-    if not is_flown and (camera.calibration, camera.terrain, camera.keep) == (None, None, None):
+    named = (camera.folder, camera.bag, camera.calibration, camera.terrain, camera.keep)
+    if not is_flown and not any(named):
         return
     # these import the whole flight program
     from upwash.launch.cameras import NO_CAMERA, Look, look, needs_camera

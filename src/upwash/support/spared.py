@@ -19,7 +19,15 @@ from upwash.errors import UsageError
 
 Identity = tuple[object, ...]
 
-_IN_FOLDERS = {".jpg", ".jpeg", ".png", ".txt"}  # inputs that a folder stands for: photos and their labels
+_IN_FOLDERS = {
+    ".jpg",
+    ".jpeg",
+    ".png",
+    ".txt",
+    ".mcap",
+    ".db3",
+    ".yaml",
+}  # of folders of photos, labels and bags
 
 
 class Output(NamedTuple):
@@ -57,14 +65,21 @@ def sparing(inputs: Iterable[tuple[str, Path]], outputs: Iterable[Output]) -> It
 
 
 def require_unnamed(document: object, file: Path) -> None:
-    """Raise UsageError where an output of the command is a file that a configuration names, wherever it does."""
-    for word in _words(document) if _declared.outputs else ():
+    """Raise UsageError where an output of the command is a file that a configuration names, wherever it does.
+
+    A folder stands for the photos, labels or bag in it.
+    """
+    files = [output for output in _declared.outputs.values() if not output.is_filled and output.path.exists()]
+    for word in _words(document) if files else ():
         path = file.absolute().parent / (word.rpartition(":")[0] if ".py:" in word else word)
-        output = _declared.outputs.get(_identity(path)) if word and _exists(path) else None
-        if output is not None and not output.is_filled:
-            raise UsageError(
-                f"{output.option}: {file} names {output.path}, which is read: name another output"
-            )
+        identity = _identity(path) if word and _exists(path) else ()
+        for output in files if identity else ():
+            if identity == _identity(output.path) or (
+                identity in _folders(output.path) and _is_of_folder(output)
+            ):
+                raise UsageError(
+                    f"{output.option}: {file} names {output.path}, which is read: name another output"
+                )
 
 
 def require_spared(file: Path) -> None:
@@ -89,13 +104,13 @@ def _written(outputs: Iterable[Output], read: Mapping[Identity, str]) -> Mapping
             )
         written[identity] = output
     for output in written.values():
-        for folder in map(_identity, Path(os.path.realpath(output.path)).parents):
+        for folder in _folders(output.path):
             around = written.get(folder)
             if around is not None and not around.is_filled:
                 raise UsageError(
                     f"{output.option}: {output.path} would be within {around.option}: name another output"
                 )
-            if folder in read and output.path.suffix.lower() in _IN_FOLDERS and output.path.exists():
+            if folder in read and _is_of_folder(output):
                 raise UsageError(
                     f"{output.option}: {output.path} is a file of {read[folder]}: name another output"
                 )
@@ -109,6 +124,14 @@ def _require_place(output: Output) -> None:
         )
     if output.is_filled and output.path.exists() and not output.path.is_dir():
         raise UsageError(f"{output.option}: {output.path} is a file: give the name of a folder")
+
+
+def _is_of_folder(output: Output) -> bool:
+    return output.path.suffix.lower() in _IN_FOLDERS and output.path.exists()
+
+
+def _folders(path: Path) -> list[Identity]:
+    return [_identity(folder) for folder in Path(os.path.realpath(path)).parents]
 
 
 def _identity(path: Path) -> Identity:
