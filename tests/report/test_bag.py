@@ -97,4 +97,4 @@ def test_a_bag_that_breaks_in_flight_gives_no_photo_until_it_is_whole_again(bag:
 
 def test_no_bag_is_written_over_another(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["report", str(bag.parent / "flown.jsonl"), "--bag", str(bag)]) == 2
-    assert "a bag is a new folder, so give the name of one" in capsys.readouterr().err
+    assert "is a folder: give the name of a file, or of a new folder" in capsys.readouterr().err

@@ -24,7 +24,7 @@ from upwash.support.output_files import write_file
 FORGOTTEN_AFTER = 5  # flights without a visit, after which a place is forgotten
 MOST_FIELDS = 100  # elsewhere; those where no flight was for longest are forgotten
 
-_FIELD_M = 10_000.0  # between homes of one field: the plane of positions is true to 0.1 % so far
+_FIELD_M = 10_000.0  # between homes of one field, where the plane of positions is true to 0.1 %
 _MOST_BYTES = 50_000_000
 Count = Annotated[int, Meta(ge=0, le=2**53)]
 F = TypeVar("F", bound="KeptField")
@@ -123,7 +123,7 @@ class KeptMap(Generic[F]):
             raise ConfigError(str(self.file), "", problem) from None
 
     def _was_ours(self, content: bytes) -> bool:
-        """Whether it begins as such a file does, or is what a disk without power leaves of one."""
+        """Whether it begins as a file of the map does, or has the zeros that a power cut leaves."""
         begins = b"".join(content.strip(b"\0")[:100].split())
         ours = b'{"' + self._mark + b'":'
         return begins.startswith(ours) or ours.startswith(begins)
@@ -135,7 +135,7 @@ def home_of(place: GeoPosition | None) -> Home | None:
 
 
 def moved(east_m: float, north_m: float, by: Position) -> Position | None:
-    """A field's place from the mission's home; None if no position is so far away."""
+    """A field's place from the mission's home; None beyond the farthest position."""
     east_m, north_m = east_m + by.east_m, north_m + by.north_m
     return Position(east_m, north_m) if max(abs(east_m), abs(north_m)) <= FARTHEST_M else None
 

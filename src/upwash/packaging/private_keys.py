@@ -1,8 +1,8 @@
 """Private keys among files, found by their contents: what is packed is handed out, and a key must not be.
 
-Known are the armoured keys of PEM, OpenSSH, OpenPGP, PuTTY, age and WireGuard, JSON web keys, the binary ones of
-PKCS #1, #8 and #12, SEC 1 and Java, encrypted or not, and the keys for MAVLink messages that upwash makes. Archives
-are looked into, and archives in these. What an archive encrypts, and a key without armour within another file, is not
+Known are the armoured keys of PEM, OpenSSH, OpenPGP, PuTTY, age and WireGuard, and JSON web keys. Known too are the
+binary keys of PKCS #1, #8 and #12, SEC 1 and Java, and the keys for MAVLink messages that upwash makes. Archives are
+looked into, and archives in these. What an archive encrypts, and a key without armour within another file, is not
 found.
 """
 
@@ -100,7 +100,7 @@ def _found(content: bytes | mmap.mmap, file: IO[bytes], depth: int) -> str:
 
 
 def _members(content: bytes | mmap.mmap, file: IO[bytes]) -> Iterator[tuple[str, bytes]]:
-    """The small files of an archive; of one that is damaged, those before the damage."""
+    """The small files of an archive; of a damaged archive, those before the damage."""
     try:
         if content[:4] == b"PK\3\4":
             with zipfile.ZipFile(file) as packed:

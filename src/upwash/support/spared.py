@@ -52,8 +52,8 @@ _declared = _Declared()  # by the one command that a process runs
 def sparing(inputs: Iterable[tuple[str, Path]], outputs: Iterable[Output]) -> Iterator[None]:
     """While the block lasts, no output replaces one of the inputs, each with the option that names it.
 
-    Raises UsageError, at once, for an output that is an input or another output, and for one that is in another's
-    place or has it within.
+    Raises UsageError, at once, for an output that is an input or another output, and for a file within another output.
+    Photos, labels and bags within a folder that is an input are inputs.
     """
     global _declared  # noqa: PLW0603
     read = {identity: option for option, path in inputs if (identity := _identity(path))}
@@ -135,7 +135,7 @@ def _folders(path: Path) -> list[Identity]:
 
 
 def _identity(path: Path) -> Identity:
-    """The same for all names of a file, also of one that is yet to be made; empty for devices and pipes."""
+    """The same for all names of a file, also before the file is made; empty for devices and pipes."""
     whole = Path(os.path.realpath(path))
     try:
         found = whole.stat()

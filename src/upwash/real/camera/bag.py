@@ -90,7 +90,7 @@ class _Unreadable(Exception):
 
 @contextlib.contextmanager
 def _reading() -> Iterator[None]:
-    """What the bag's libraries raise for a damaged bag, of whatever kind, is raised as _Unreadable."""
+    """Any error that the bag's libraries raise for a damaged bag is raised as _Unreadable."""
     try:
         yield
     except UpwashError:

@@ -25,7 +25,7 @@ class _Unreadable(Exception):
 
 @contextlib.contextmanager
 def _reading() -> Iterator[None]:
-    """What GDAL and its libraries raise for a damaged grid, of whatever kind, is raised as _Unreadable."""
+    """Any error that GDAL and its libraries raise for a damaged grid is raised as _Unreadable."""
     try:
         yield
     except Exception as error:
