@@ -35,7 +35,8 @@ def read_calibration(file: Path) -> Lens:
     try:
         content = read_file(file, most_bytes=_LARGEST_BYTES)
     except (OSError, ValueError) as error:
-        raise UsageError(f"camera.calibration: {file} cannot be read: {why_unreadable(error)}") from error
+        why = f"cannot be read: {why_unreadable(error)}; check the path"
+        raise UsageError(f"camera.calibration: {file} {why}") from error
     try:
         text = text_of(content)
     except UnicodeDecodeError as error:
