@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from datetime import UTC, datetime, timedelta
 from typing import NamedTuple
 
-from upwash.config import DroneConfig, UserConfig
+from upwash.config import CameraConfig, DroneConfig, UserConfig
 from upwash.errors import UpwashError
 from upwash.launch.cameras import camera_without_device, lens_of, needs_camera
 from upwash.launch.drone import (
@@ -75,7 +75,7 @@ def _steps(config: DroneConfig, *, valid_now: bool) -> Iterator[tuple[str, Calla
         yield "no-keys", functools.partial(require_certificates, server, config)
     yield "certificate", functools.partial(drone_credentials, config, valid_now=valid_now)
     yield from _file_steps(config)
-    if needs_camera(config):
+    if not _is_of_files(config.camera) and needs_camera(config):
         yield "no-camera", functools.partial(camera_without_device, config.camera)
     if config.network.kind == "networkmanager":
         yield "extra", functools.partial(_require, "network", "upwash.real.network.network")
@@ -93,8 +93,12 @@ def _file_steps(config: DroneConfig) -> Iterator[tuple[str, Callable[[], object]
         yield "no-terrain", functools.partial(_terrain, config)
     if camera.keep is not None:
         yield "no-folder", functools.partial(require_room_for, camera.keep)
-    if camera.folder is not None or camera.bag is not None:
+    if _is_of_files(camera):
         yield "no-camera", functools.partial(camera_without_device, camera)
+
+
+def _is_of_files(camera: CameraConfig) -> bool:
+    return camera.folder is not None or camera.bag is not None
 
 
 def _terrain(config: DroneConfig) -> None:
