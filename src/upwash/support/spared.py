@@ -52,7 +52,7 @@ _declared = _Declared()  # by the one command that a process runs
 def sparing(inputs: Iterable[tuple[str, Path]], outputs: Iterable[Output]) -> Iterator[None]:
     """While the block lasts, no output replaces one of the inputs, each with the option that names it.
 
-    Raises UsageError, at once, for an output that is an input or another output, and for a file within another output.
+    Raises UsageError, at once, for an output that is an input or another output, or that lies within another output.
     Photos, labels and bags within a folder that is an input are inputs.
     """
     global _declared  # noqa: PLW0603
