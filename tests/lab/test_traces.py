@@ -138,7 +138,7 @@ def test_a_mission_is_slower_over_a_slow_link_and_bounded_from_below(tmp_path: P
         ("goodput_csv", "t_s,bit_s\n\u0661,1\n", r"line 2, t_s.*expected a number"),
         ("goodput_csv", "t_s,bit_s,t_s\n1,1,2\n", r"line 1, t_s.*two columns have this name"),
         ("goodput_csv", "t_s,bit_s\n1,2\n" + "#\n" * 999_999, r"more than 1,000,000 lines: leave rows out"),
-        ("radio", "distance_m,goodput_mbit_s\n1_0,1\n", r"'1_0' is no number"),
+        ("radio", "distance_m,goodput_mbit_s\n1_0,1\n", r"'1_0' is no finite number"),
         ("radio", "distance_m,goodput_mbit_s,distance_m\n1,1,2\n", r"two columns are named distance_m"),
         ("goodput_csv", "t_s,bit_s\n1,0\n", r"nothing gets through in any row"),
         ("goodput_csv", "east_m,north_m,bit_s\n-1,inf,1\n", r"line 2, north_m.*'inf': expected a number"),

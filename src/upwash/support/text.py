@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shlex
 import signal
@@ -64,9 +65,9 @@ def words_of(text: str) -> str:
 
 def number_of(text: str) -> float:
     """The finite decimal number that is written there, in ASCII and without separators; raises ValueError."""
-    if not _NUMBER.fullmatch(text):
-        raise ValueError(f"{printable(text, _LONGEST_NUMBER)!r} is no number")
-    return float(text)
+    if not _NUMBER.fullmatch(text) or not math.isfinite(number := float(text)):
+        raise ValueError(f"{printable(text, _LONGEST_NUMBER)!r} is no finite number")
+    return number
 
 
 def named_twice(names: Sequence[str]) -> str:
