@@ -184,13 +184,13 @@ def _lines(file: Path) -> Iterator[tuple[int, list[str]]]:
 def _header(file: Path, first: tuple[int, list[str]], kinds: Sequence[tuple[str, ...]]) -> dict[str, int]:
     """The index of each column."""
     line, names = first
-    if twice := named_twice(names):
-        raise _problem(file, line, printable(twice, _LONGEST), "two columns have this name: leave one out")
     columns = {name: index for index, name in enumerate(names)}
     if not any(set(kind) <= columns.keys() for kind in kinds):
         wanted = ", or ".join(" and ".join(kind) for kind in kinds)
         found = printable(", ".join(names), _LONGEST) or "nothing"
         raise _problem(file, line, "", f"the first line has {found}: name the columns {wanted}")
+    if twice := named_twice(names):
+        raise _problem(file, line, printable(twice, _LONGEST), "two columns have this name: leave one out")
     return columns
 
 
