@@ -199,7 +199,9 @@ def _read(csv_file: Path, columns: Sequence[str], *, settings: int) -> list[Camp
             rows = list(csv.reader(lines))[1:]
         return [_row(cells, columns, settings) for cells in rows]
     except (msgspec.ValidationError, ValueError, csv.Error) as error:
-        raise UsageError(f"{csv_file} was changed by hand, or damaged: {error}; remove it and begin again") from None
+        raise UsageError(
+            f"{csv_file} was changed by hand, or damaged: {error}; remove it and begin again"
+        ) from None
 
 
 def _row(cells: Sequence[str], columns: Sequence[str], settings: int) -> CampaignRow:
