@@ -13,7 +13,6 @@ from upwash.config.kept_places import FORGOTTEN_AFTER
 from upwash.core.geo import GeoPosition, Position
 from upwash.core.planning.demand_map import DemandMap
 from upwash.errors import ConfigError
-from upwash.lab.scenario import read_scenario
 
 HOME = GeoPosition(39.36, 22.95)
 PLACE = Position(30.0, 40.0)
@@ -50,8 +49,8 @@ def test_a_place_without_answers_is_forgotten_after_five_flights(tmp_path: Path)
     file = tmp_path / "map.json"
     DemandFile(file).keep(noted(), None)
     flights = 0
-    while not (kept := DemandFile(file)).is_empty:
-        kept.keep(DemandMap(kept.places(None), near_m=20.0), None)
+    while places := DemandFile(file).places(None):
+        DemandFile(file).keep(DemandMap(places, near_m=20.0), None)
         flights += 1
     assert flights == FORGOTTEN_AFTER + 1
 
@@ -59,13 +58,10 @@ def test_a_place_without_answers_is_forgotten_after_five_flights(tmp_path: Path)
 @pytest.mark.parametrize(
     "content",
     [
-        b"",
         b"[]",
-        b'{"upwash_demands": 2}',
         b'{"upwash_coverage": 1}',
-        b'{"upwash_demands": 1, "places": [{"east_m": 1e300, "north_m": 0, "answers": 1, "demands": 1}]}',
-        b'{"upwash_demands": 1, "places": [{"east_m": 0, "north_m": 0, "answers": -1, "demands": 1}]}',
-        b'{"upwash_demands": 1, "places": [{"east_m": 0, "north_m": 0, "answers": NaN, "demands": 1}]}',
+        b"\xff\xff",
+        b'name = "d1"',
     ],
 )
 def test_a_file_that_is_no_map_is_refused_by_its_name(tmp_path: Path, content: bytes) -> None:
@@ -80,13 +76,3 @@ def test_more_demands_than_answers_count_as_a_demand_each(tmp_path: Path) -> Non
     )
     (place,) = DemandFile(tmp_path / "map.json").places(None)
     assert place.demands == place.answers == 1.0
-
-
-def test_a_map_of_another_kind_of_place_is_refused(tmp_path: Path) -> None:
-    DemandFile(tmp_path / "map.json").keep(noted(), HOME)
-    file = tmp_path / "field.toml"
-    file.write_text('[mission]\nwaypoints_m = [[0, 0], [30, 40]]\n[policy]\ndemand_map = "map.json"\n')
-    with pytest.raises(
-        ConfigError, match=r"policy\.demand_map.*measured around a home, and the mission has none"
-    ):
-        read_scenario(file)

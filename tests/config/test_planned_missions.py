@@ -19,8 +19,8 @@ from upwash.config import (
     HomeConfig,
     altitudes_above_sea,
     ending,
+    file_notices,
     geofence,
-    plan_notices,
     read_drone_config,
     waypoints,
 )
@@ -228,11 +228,11 @@ def test_a_way_around_a_corner_of_the_field_is_refused(tmp_path: Path) -> None:
 def test_what_is_left_out_of_a_plan_is_said_with_its_file(tmp_path: Path) -> None:
     plan = json.loads(json.dumps(PLAN))
     plan["mission"]["items"][1]["params"][1] = 5
-    (notice,) = plan_notices(read(tmp_path, plan=plan))
+    (notice,) = file_notices(read(tmp_path, plan=plan))
     assert notice.startswith(
         f"{tmp_path}/field.plan: item 2: MAV_CMD_NAV_WAYPOINT (16): its acceptance radius"
     )
-    assert plan_notices(read(tmp_path)) == []
+    assert file_notices(read(tmp_path)) == []
 
 
 # --- flown on virtual time ----------------------------------------------------------------------------------

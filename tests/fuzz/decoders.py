@@ -5,9 +5,11 @@ Two feed the same table: test_decoders.py with each test run, `python -m tests.f
 
 from __future__ import annotations
 
+import asyncio
 import atexit
 import contextlib
 import io
+import math
 import shutil
 import tempfile
 import time
@@ -22,28 +24,39 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from rosbags.rosbag2 import Writer
+from rosbags.rosbag2.enums import StoragePlugin
+from rosbags.typesys import Stores, get_typestore
 from tests.events import line as line_of
 
 from upwash.config import read_drone_config
 from upwash.config.coverage import CoverageFile
 from upwash.config.daemon import read_daemon_config
+from upwash.config.demand_map import DemandFile
+from upwash.config.traces import read_battery, read_goodput_trace, read_service_times, read_track, read_wind
 from upwash.core.geo import GeoPosition, Position
 from upwash.core.knowledge.coverage import Coverage, MeasuredPlace
 from upwash.core.operation import Operation
-from upwash.errors import CredentialsError, GarbledReply, Refused, UpwashError, UsageError
+from upwash.core.planning.demand_map import DemandMap
+from upwash.errors import CameraError, CredentialsError, GarbledReply, Refused, UpwashError, UsageError
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
 from upwash.eventlog.results import read_result
 from upwash.mavlink.ftp import Opcode, Packet, read_packet
 from upwash.mavlink.signing import Signing
 from upwash.plans import read_plan
+from upwash.real.camera.bag import BagCamera
+from upwash.real.camera.calibration import read_calibration
+from upwash.real.camera.camera import read_photo_file
+from upwash.real.camera.terrain import Terrain
+from upwash.real.camera.video import read_frames
 from upwash.real.instances.control import Called, Printed, Ready, ServiceEnded, from_instance, line
 from upwash.real.instances.foreign import ForeignProgram, ProgramAnswer
 from upwash.real.link.direct import frame
 from upwash.real.link.limits import PREFACE, FrameCounter
 from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.receiver import MessageReceiver, Peer, from_autopilot
-from upwash.real.mavlink.signing import read_key
+from upwash.real.mavlink.signing import read_key, read_signing
 from upwash.real.mavlink.telemetry import VehicleTelemetry
 from upwash.real.trust.authority import keys_in, make_keys
 from upwash.real.trust.credentials import read_credentials, read_revoked
@@ -66,6 +79,7 @@ from upwash.services.darknet.weights import WeightsFile
 from upwash.services.heads import parse_names
 from upwash.services.inference import ModelFiles, open_inference
 from upwash.services.photo import NotAPhoto, read_photo
+from upwash.services.ros_image import ENCODINGS, jpeg_of_message
 from upwash.sim.radio import read_goodput
 from upwash.support.exif import PhotoPlace, own_place, unturned, with_place, with_pose
 
@@ -407,6 +421,142 @@ def _bytes_of(*files: str) -> tuple[bytes, ...]:
     return tuple((ROOT / file).read_bytes() for file in files)
 
 
+# --- of cameras and simulations: the files that other programs wrote ----------------------------------------
+
+_TYPES = get_typestore(Stores.ROS2_HUMBLE)
+
+
+def _images(file: Path) -> object:
+    """The bag in the file's folder as a camera, for two photos."""
+
+    async def take() -> None:
+        camera = BagCamera(file.parent, None, photo_s=0.0, lens=None)
+        for _ in range(2):
+            with contextlib.suppress(CameraError):
+                await camera.take_photo(Position(0.0, 0.0))
+
+    return asyncio.run(take())
+
+
+def _bag(name: str, plugin: StoragePlugin) -> Path:
+    """A bag of three images in a folder."""
+    folder = _folder() / name
+    shutil.rmtree(folder, ignore_errors=True)
+    kinds = _TYPES.types
+    with Writer(folder, version=8, storage_plugin=plugin) as bag:
+        topic = bag.add_connection("/image", "sensor_msgs/msg/Image", typestore=_TYPES)
+        for second in range(3):
+            stamp = kinds["builtin_interfaces/msg/Time"](sec=second, nanosec=0)
+            head = kinds["std_msgs/msg/Header"](stamp=stamp, frame_id="camera")
+            image = kinds["sensor_msgs/msg/Image"](
+                head, 4, 4, encoding="bgr8", is_bigendian=0, step=12, data=np.zeros(48, np.uint8)
+            )
+            raw = _TYPES.serialize_cdr(image, "sensor_msgs/msg/Image")
+            bag.write(topic, second * 10**9, raw)
+    return folder
+
+
+def _bag_decoder(bag: str, plugin: StoragePlugin, file: str) -> Decoder:
+    """Of that file of a bag, whose other file is whole."""
+    whole = (_bag(bag, plugin) / file).read_bytes()
+    slow = 10.0  # rosbags reads YAML in Python
+    return Decoder(_as_file(f"{bag}/{file}", _images), (UsageError,), (whole,), most_s=slow, tests=50)
+
+
+def _image(data: bytes) -> None:
+    """As a CompressedImage, and as Images of each encoding whose sizes the data itself names."""
+    pixels = np.frombuffer(data, np.uint8)
+    with contextlib.suppress(CameraError):
+        jpeg_of_message("/image", SimpleNamespace(data=pixels, format="jpeg"))
+    high, wide, step, end = (*data[:4], *bytes(4))[:4]
+    for encoding in (*ENCODINGS, "unknown"):
+        image = SimpleNamespace(
+            encoding=encoding, height=high, width=wide, step=step, is_bigendian=end % 2, data=pixels
+        )
+        with contextlib.suppress(CameraError):
+            jpeg_of_message("/image", image)
+
+
+_CALIBRATION = b"""image_width: 640
+image_height: 480
+distortion_model: plumb_bob
+camera_matrix: {rows: 3, cols: 3, data: [500.0, 0.0, 320.0, 0.0, 500.0, 240.0, 0.0, 0.0, 1.0]}
+distortion_coefficients: {rows: 1, cols: 5, data: [-0.1, 0.02, 0.0, 0.0, 0.0]}
+"""
+
+
+def _terrain(file: Path) -> None:
+    with contextlib.closing(Terrain(file, GeoPosition(39.5, 22.5))) as terrain:
+        assert math.isfinite(terrain.ground(Position(100.0, 50.0, 30.0)).altitude_m)
+
+
+def _grid() -> bytes:
+    import rasterio
+    from rasterio.transform import from_origin
+
+    file = _folder() / "grid.tif"
+    form = {
+        "driver": "GTiff",
+        "width": 16,
+        "height": 16,
+        "count": 1,
+        "dtype": "float32",
+        "compress": "deflate",
+    }
+    with rasterio.open(
+        file, "w", crs="EPSG:4326", transform=from_origin(22.0, 40.0, 0.0625, 0.0625), **form
+    ) as grid:
+        grid.write(np.arange(256, dtype=np.float32).reshape(16, 16), 1)
+    return file.read_bytes()
+
+
+def _film() -> bytes:
+    import cv2
+
+    file = _folder() / "film.avi"
+    film = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (64, 48))
+    for number in range(4):
+        film.write(np.full((48, 64, 3), 60 * number, np.uint8))
+    film.release()
+    return file.read_bytes()
+
+
+def _traces(file: Path) -> None:
+    for read in (
+        read_service_times,
+        read_goodput_trace,
+        partial(read_track, frame=None),
+        read_wind,
+        read_battery,
+    ):
+        with contextlib.suppress(UsageError):
+            read(file)
+
+
+def _demands(file: Path) -> None:
+    """Reads the map, and does with it what a flight does."""
+    kept, home = DemandFile(file), GeoPosition(39.4, 22.9)
+    known = DemandMap(kept.places(home), near_m=20.0)
+    assert known.chance(Position(0.0, 0.0), 0.5) >= 0
+    kept.keep(known, home)
+
+
+def _demand_map() -> bytes:
+    file = _folder() / "valid demands"
+    for north_deg in (39.36, 52.5):
+        known = DemandMap((), near_m=20.0)
+        known.note(Position(30.0, 40.0), demanded=True)
+        DemandFile(file).keep(known, GeoPosition(north_deg, 22.95))
+    return file.read_bytes()
+
+
+def _kept_time(file: Path) -> object:
+    key = file.with_name("key")
+    key.write_bytes(b"0f" * 32)
+    key.chmod(0o600)
+    return read_signing(key)
+
+
 @cache
 def decoders() -> Mapping[str, Decoder]:
     """Each by its name."""
@@ -491,6 +641,34 @@ def decoders() -> Mapping[str, Decoder]:
             _bytes_of("tests/plans/field.plan", "tests/plans/field.waypoints", "tests/plans/survey.plan"),
         ),
         "a coverage map": Decoder(_as_file("map.json", _coverage), (UsageError,), (_map(),)),
+        "a map of demands": Decoder(_as_file("demands.json", _demands), (UsageError,), (_demand_map(),)),
+        "a bag (MCAP)": _bag_decoder("images", StoragePlugin.MCAP, "images.mcap"),
+        "a bag (SQLite)": _bag_decoder("rows", StoragePlugin.SQLITE3, "rows.db3"),
+        "a bag's description": _bag_decoder("described", StoragePlugin.MCAP, "metadata.yaml"),
+        "an image of ROS": Decoder(_image, (), (_photo(), _photo(".png"), bytes((4, 4, 12, 0, *range(48))))),
+        "a calibration": Decoder(
+            _as_file("lens.yaml", read_calibration),
+            (UsageError,),
+            (_CALIBRATION, b"%YAML:1.0\n---\n" + _CALIBRATION),
+        ),
+        "a terrain": Decoder(_as_file("terrain.tif", _terrain), (UsageError,), (_grid(),), tests=30),
+        "a film": Decoder(
+            _as_file("shown.avi", partial(read_frames, most=2)), (CameraError,), (_film(),), tests=10
+        ),
+        "a photo's file": Decoder(
+            _as_file("photo.png", read_photo_file), (CameraError,), (_photo(".png"), _photo())
+        ),
+        "a trace": Decoder(
+            _as_file("trace.csv", _traces),
+            (),
+            (
+                b"operation,seconds\ndetector.process_photo[heavy],0.1\n",
+                b"t_s,east_m,north_m,altitude_m\n0,0,0,0\n1,1,2,5\n2,3,4,5\n",
+                b"# of a flight\nt_s,percent\n0,100\n10,99.5\n",
+                b"t_s,east_m_s,north_m_s\n0,1,-1\n",
+                b"east_m,north_m,bit_s\n0,0,1e6\n",
+            ),
+        ),
         "an event log": Decoder(
             _as_file("events.jsonl", lambda file: read_result(event_log.read(file))),
             (UsageError,),
@@ -515,6 +693,9 @@ def decoders() -> Mapping[str, Decoder]:
         ),
         "revoked certificates": Decoder(
             _as_file("revoked", read_revoked), (CredentialsError,), (b"# of 2026\n" + b"0f" * 32 + b" d1\n",)
+        ),
+        "the time of a signing key": Decoder(
+            _as_file("key.time", _kept_time), (CredentialsError,), (b"1234567\n",)
         ),
         "a signing key": Decoder(
             _as_secret("signing", read_key), (CredentialsError,), (b"0f" * 32 + b"\n", bytes(range(32)))

@@ -134,6 +134,12 @@ def test_a_mission_is_slower_over_a_slow_link_and_bounded_from_below(tmp_path: P
             r"has t_s, mbit_s: name the columns t_s and bit_s, or distance_m and",
         ),
         ("goodput_csv", "t_s,bit_s\n1,2\n1,3\n", r"line 3, t_s.*1 follows 1: let the values ascend"),
+        ("goodput_csv", "t_s,bit_s\n1_0,1\n", r"line 2, t_s.*'1_0': expected a number"),
+        ("goodput_csv", "t_s,bit_s\n\u0661,1\n", r"line 2, t_s.*expected a number"),
+        ("goodput_csv", "t_s,bit_s,t_s\n1,1,2\n", r"line 1, t_s.*two columns have this name"),
+        ("goodput_csv", "t_s,bit_s\n1,2\n" + "#\n" * 999_999, r"more than 1,000,000 lines: leave rows out"),
+        ("radio", "distance_m,goodput_mbit_s\n1_0,1\n", r"'1_0' is no finite number"),
+        ("radio", "distance_m,goodput_mbit_s,distance_m\n1,1,2\n", r"two columns are named distance_m"),
         ("goodput_csv", "t_s,bit_s\n1,0\n", r"nothing gets through in any row"),
         ("goodput_csv", "east_m,north_m,bit_s\n-1,inf,1\n", r"line 2, north_m.*'inf': expected a number"),
     ],
@@ -141,7 +147,7 @@ def test_a_mission_is_slower_over_a_slow_link_and_bounded_from_below(tmp_path: P
 def test_a_file_that_is_no_trace_is_refused_with_its_line(
     tmp_path: Path, key: str, text: str, problem: str
 ) -> None:
-    with pytest.raises(upwash.ConfigError, match=problem):
+    with pytest.raises(upwash.UsageError, match=problem):
         survey(**{key: written(tmp_path, text)})
 
 

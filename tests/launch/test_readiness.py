@@ -78,6 +78,13 @@ def configured(folder: Path, **tables: Any) -> DroneConfig:
         ({"camera": {}, "mission": {**MISSION, "program": "services.py:hover"}}, []),
         ({"camera": {"folder": "paintings"}}, ["no-camera"]),
         ({"camera": {"folder": "photos", "terrain": "services.py"}}, ["no-terrain"]),
+        *(
+            ({"camera": {**camera, "calibration": calibration}}, ["no-calibration"])
+            for camera in ({"folder": "photos"}, {"device": 0})
+            for calibration in ("nowhere", "services.py")
+        ),
+        ({"camera": {"folder": "photos", "keep": "services.py/kept"}}, ["no-folder"]),
+        ({"camera": {"folder": "photos", "keep": "new/{time}"}}, []),
         ({"user": {"command": ["sh", "-c", "true"]}}, []),
         ({"user": {"command": ["./services.py"]}}, ["handover"]),  # cannot be run
         ({"user": {"webhook": "https://h/x", "token_file": "nowhere"}}, ["handover"]),

@@ -85,6 +85,14 @@ async def test_a_log_that_is_there_is_added_to(tmp_path: Path) -> None:
     ]
 
 
+async def test_nothing_is_added_to_a_file_that_is_no_log(tmp_path: Path) -> None:
+    other = tmp_path / "drone.toml"
+    other.write_text("name = 1\n")
+    with pytest.raises(UsageError, match="is no event log, and stays as it is"):
+        FileJournal(other)
+    assert other.read_text() == "name = 1\n"
+
+
 async def test_a_watcher_that_fails_costs_no_event_and_no_other_watcher(tmp_path: Path) -> None:
     seen: list[Event] = []
 

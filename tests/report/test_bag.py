@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from tests.report.test_mcap import FLOWN, HIGH, JPEG, write
 
 from upwash.cli.main import main
 from upwash.core.geo import Position
-from upwash.errors import UsageError
+from upwash.errors import CameraError, UsageError
 from upwash.real.camera.bag import BagCamera
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -77,6 +78,23 @@ def test_a_bag_that_is_none_or_lacks_the_topic_is_named(bag: Path, tmp_path: Pat
         BagCamera(bag, "/other", photo_s=0.0, lens=None)
 
 
+def test_a_bag_that_breaks_in_flight_gives_no_photo_until_it_is_whole_again(bag: Path) -> None:
+    (file,) = bag.glob("*.mcap")
+    whole, position = file.read_bytes(), Position(0, 0)
+    (at,) = struct.unpack("<Q", whole[-28:-20])  # of the summary
+
+    async def take() -> bytes:
+        camera = BagCamera(bag, None, photo_s=0.0, lens=None)
+        for broken in (whole[: at + 1] + b"\xff" * 8 + whole[at + 9 :], whole[: len(whole) // 2], b""):
+            file.write_bytes(broken)
+            with pytest.raises(CameraError, match=r"cannot be read: .*copy the bag again"):
+                await camera.take_photo(position)
+        file.write_bytes(whole)
+        return (await camera.take_photo(position)).jpeg
+
+    assert asyncio.run(take()) == JPEG
+
+
 def test_no_bag_is_written_over_another(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["report", str(bag.parent / "flown.jsonl"), "--bag", str(bag)]) == 2
-    assert "a bag is a new folder, so give the name of one" in capsys.readouterr().err
+    assert "is a folder: give the name of a file, or of a new folder" in capsys.readouterr().err

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -148,12 +149,31 @@ def test_an_object_whose_own_place_is_known_is_told_there(
     assert row["drone"] == "d1"
 
 
-@pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1", "=cmd|' /C calc'!A0"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(
+            "=1+1",
+            "+1",
+            "-1",
+            "@SUM(A1)",
+            "\t=1",
+            "\r=1",
+            "=cmd|' /C calc'!A0",
+            " =1",
+            "\uff1d1",
+            "x;=1",
+            "x; \uff0b1",
+        ),
+        *('x;"=1"', "a;b;-1", "x|@SUM(A1)", "'=1", ";=1"),
+    ],
+)
 def test_no_text_is_a_formula(tmp_path: Path, text: str) -> None:
     log = flight(tmp_path / "f.jsonl", text, [{**BOX, "label": text}], source=text)
     log.write_bytes(log.read_bytes().replace(b'"drone":""', b'"drone":' + json.dumps(text).encode()))
     for row in csv.reader(io.StringIO(as_csv(found(log)))):
-        assert not [each for each in row if each[:1] in "=+-@\t\r" and each]
+        parts = [part.strip(' "') for each in row for part in re.split("[;|]", each)]
+        assert not [part for part in parts if part[:1] in set("=+-@\t\r\uff1d\uff0b")]
 
 
 def test_no_text_is_markup(tmp_path: Path) -> None:

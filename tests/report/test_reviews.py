@@ -278,6 +278,17 @@ def labels_of(folder: Path, name: str) -> Sequence[list[float]]:
     return [[float(each) for each in line.split()] for line in lines]
 
 
+@pytest.mark.parametrize("more", [[], ["--unreviewed"]], ids=["reviewed", "unreviewed"])
+def test_no_output_replaces_the_reviews(
+    log: Path, capsys: pytest.CaptureFixture[str], more: list[str]
+) -> None:
+    file = review_file(log)
+    before = file.read_bytes()
+    assert main(["report", str(log), "--csv", str(file), *more]) == 2
+    assert f"{file} is read: name another output" in capsys.readouterr().err
+    assert file.read_bytes() == before
+
+
 def test_a_data_set_has_the_accepted_boxes_under_their_labels(
     log: Path, photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -320,7 +331,7 @@ def test_a_data_set_replaces_nothing_and_is_never_empty(
 ) -> None:
     (tmp_path / "there").mkdir()
     assert made(log, tmp_path / "there", photos) == 2
-    assert "exists: a data set is a new folder" in capsys.readouterr().err
+    assert "there is a folder: give the name of a file, or of a new folder" in capsys.readouterr().err
     (photos / "1.jpg").unlink()
     assert made(log, tmp_path / "set", photos) == 2
     assert "none of the photos" in capsys.readouterr().err

@@ -7,31 +7,50 @@ import contextlib
 import itertools
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from msgspec.structs import replace
 
-from upwash.config import DroneConfig, plan_notices
+from upwash.config import DroneConfig, file_notices
 from upwash.core.policies.names import POLICIES, is_own
 from upwash.errors import UsageError
 from upwash.mavlink.connection import parse_connection
 from upwash.support.loading import extra
+from upwash.support.spared import Output
+from upwash.support.text import number_of
 
 if TYPE_CHECKING:  # a flight does without the room of simulations
     from upwash.lab.figures import FigureFiles
 
 LIVE_PORT = 8720
+PRINTED = Path("-")  # as an output: standard output
+_PATHS = {"FILE", "FOLDER", "DIR", "LOG", "PATH"}  # metavars
 _FORMATS = ("png", "pdf", "svg")
 
 
 def count(text: str) -> int:
     """A whole number from 1 on."""
-    if not text.isdecimal() or int(text) < 1:
+    if not (text.isascii() and text.isdecimal()) or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 on")
     return int(text)
+
+
+def whole(text: str) -> int:
+    """A whole number."""
+    if not (text.isascii() and text.removeprefix("-").isdecimal()):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number")
+    return int(text)
+
+
+def number(text: str) -> float:
+    """A number."""
+    try:
+        return number_of(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def seeds(text: str) -> range:
@@ -51,23 +70,29 @@ def port(text: str) -> int:
     return int(text)
 
 
-def add_options(parser: argparse._ActionsContainer, arguments: Mapping[str, Any]) -> None:
+def add_options(
+    parser: argparse._ActionsContainer, arguments: Mapping[str, Any]
+) -> Iterator[argparse.Action]:
     """Add arguments: a name with its metavar leads to its help, or to an `option` with more than that.
 
-    A metavar of `_TYPES` says the type, and an option without a metavar is a switch. The arguments of a `OneOf`
-    exclude each other.
+    The metavar N says the type, those of paths need `reads`, `writes` or `fills`, and an option without a metavar is
+    a switch. The arguments of a `OneOf` exclude each other.
     """
     for words, said in arguments.items():
         if isinstance(said, OneOf):
-            add_options(parser.add_mutually_exclusive_group(required=said.required), said.arguments)
+            yield from add_options(
+                parser.add_mutually_exclusive_group(required=said.required), said.arguments
+            )
             continue
         names = [word for word in words.split() if word == words.split()[0] or word.startswith("-")]
         given = dict(said) if isinstance(said, dict) else {"help": said}
         if metavar := words.removeprefix(" ".join(names)).strip():
-            given = {"metavar": metavar, "type": _TYPES.get(metavar)} | given
+            given = {"metavar": metavar, "type": count if metavar == "N" else None} | given
+            if metavar in _PATHS and given["type"] is None:
+                raise TypeError(f"{words}: say by reads, writes or fills what becomes of the path")
         elif names[0].startswith("-") and not {"choices", "type"} & given.keys():
             given["action"] = "store_true"
-        parser.add_argument(*names, **given)
+        yield parser.add_argument(*names, **given)
 
 
 class OneOf(NamedTuple):
@@ -87,9 +112,62 @@ def repeated(help_: str, dest: str | None = None, **more: Any) -> dict[str, Any]
     return option(help_, action="append", default=[], dest=dest, **more)
 
 
+def read_path(text: str) -> Path:
+    """A file or folder that the command reads."""
+    return Path(text)
+
+
+def written_path(text: str) -> Path:
+    """A file, or a new folder, that the command writes or continues."""
+    return Path(text)
+
+
+def filled_path(text: str) -> Path:
+    """A folder that the command writes files into."""
+    return Path(text)
+
+
+def reads(help_: str, **more: Any) -> dict[str, Any]:
+    """The help of an argument that names files or folders to read."""
+    return option(help_, type=read_path, **more)
+
+
+def writes(help_: str, **more: Any) -> dict[str, Any]:
+    """The help of an argument that names a file, or a new folder, to write or continue."""
+    return option(help_, type=written_path, **more)
+
+
+def fills(help_: str, **more: Any) -> dict[str, Any]:
+    """The help of an argument that names a folder to write files into."""
+    return option(help_, type=filled_path, **more)
+
+
+def inputs_of(options: argparse.Namespace) -> Iterator[tuple[str, Path]]:
+    """What names each input among the options, and its path."""
+    return ((name, path) for name, path, action in _paths(options) if action.type is read_path)
+
+
+def outputs_of(options: argparse.Namespace) -> Iterator[Output]:
+    """The outputs among the options; `-` is standard output."""
+    return (
+        Output(name, path, action.type is filled_path)
+        for name, path, action in _paths(options)
+        if action.type in (written_path, filled_path) and path != PRINTED
+    )
+
+
+def _paths(options: argparse.Namespace) -> Iterator[tuple[str, Path, argparse.Action]]:
+    for action in options.named:
+        value = getattr(options, action.dest)
+        name = action.option_strings[-1] if action.option_strings else action.metavar or action.dest
+        for path in value if isinstance(value, list) else [value]:
+            if isinstance(path, Path):
+                yield name, path, action
+
+
 def config_of(whose: str) -> dict[str, Any]:
     """The option that names a configuration."""
-    return {"--config": option(f"the {whose}'s configuration, a TOML file", type=Path, required=True)}
+    return {"--config": reads(f"the {whose}'s configuration, a TOML file", required=True)}
 
 
 def policy_instead_of(other: str) -> dict[str, Any]:
@@ -114,7 +192,7 @@ def seeds_of(what: str, default: int | None = None) -> dict[str, Any]:
 def figures_with(what: str) -> dict[str, Any]:
     """The options that draw `what` into a folder."""
     formats = option("formats of the figures: png, pdf, svg (default: png)", type=_formats, dest="formats")
-    return {"--figures DIR": f"draw {what} there", "--format F1,F2": formats | {"default": ("png",)}}
+    return {"--figures DIR": fills(f"draw {what} there"), "--format F1,F2": formats | {"default": ("png",)}}
 
 
 def figures_of(options: argparse.Namespace) -> FigureFiles | None:
@@ -138,9 +216,8 @@ def _formats(text: str) -> tuple[str, ...]:
     return wanted
 
 
-_TYPES = {"N": count, "FILE": Path, "FOLDER": Path, "DIR": Path, "LOG": Path, "PATH": Path}  # by metavar
 CALLS = {"--calls": "print a row for each call at the end (default: of up to 20 calls)"}
-FOLDER = {"--folder": option("where everything of the run goes (default: runs/TIME)", type=Path)}
+FOLDER = {"--folder": fills("where everything of the run goes (default: runs/TIME)")}
 LIVE = {
     "--live PORT": option(
         f"show it on a page on this machine meanwhile (default: {LIVE_PORT}; 0: any port)",
@@ -162,9 +239,9 @@ def flown_by(config: DroneConfig, connection: str | None) -> DroneConfig:
     return replace(config, autopilot=replace(config.autopilot, connection=connection))
 
 
-def warn_of_plans(config: DroneConfig) -> None:
-    """Print to standard error what of the plans is flown differently, or not at all."""
-    for notice in plan_notices(config):
+def warn_of_files(config: DroneConfig) -> None:
+    """Print to standard error what of the plans is flown differently, or not at all, and which maps are damaged."""
+    for notice in file_notices(config):
         sys.stderr.write(f"upwash: notice: {notice}\n")
 
 

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from upwash.cli.arguments import OneOf, figures_of, figures_with, option, repeated, seeds_of
+from upwash.cli.arguments import OneOf, figures_of, figures_with, reads, repeated, seeds_of, writes
 from upwash.lab.campaigns.campaign import in_processes, on_cluster
 from upwash.lab.campaigns.display import show_campaign
 from upwash.lab.campaigns.sweep import read_sweep
 from upwash.lab.processes import cores
 
 ARGUMENTS = {
-    "scenario": option("the scenario, a TOML file", type=Path),
+    "scenario": reads("the scenario, a TOML file"),
     **seeds_of("fly each combination"),
     "--set KEY=V1,V2": repeated(
         "fly it with each of these values of a key, such as policy.gain_wait or server.s1.range_m", "settings"
@@ -23,7 +22,9 @@ ARGUMENTS = {
             "--cluster ADDRESS": "fly on a Dask cluster, such as tcp://HOST:8786",
         }
     ),
-    "--out FILE": "a .csv or .parquet file; an interrupted campaign is continued there (default: one in runs/)",
+    "--out FILE": writes(
+        "a .csv or .parquet file; an interrupted campaign is continued there (default: one in runs/)"
+    ),
     **figures_with("the mission times with their confidence"),
 }
 

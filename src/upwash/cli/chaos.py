@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from upwash.cli.arguments import OneOf, option, seeds
+from upwash.cli.arguments import OneOf, number, option, seeds, writes
 from upwash.errors import UsageError
 from upwash.lab.faults.display import replay, show_chaos
 
@@ -18,10 +18,10 @@ ARGUMENTS = {
         },
         required=True,
     ),
-    "--minutes N": option("with --seeds: begin no world after N minutes", type=float),
+    "--minutes N": option("with --seeds: begin no world after N minutes", type=number),
     "--workers N": "with --seeds: processes (default: one per core)",
-    "--out FILE": "with --seeds: write the results there, as JSON",
-    "--log FILE": "with --seed: the event log; the scenario is written beside it, as .toml",
+    "--out FILE": writes("with --seeds: write the results there, as JSON"),
+    "--log FILE": writes("with --seed: the event log; the scenario is written beside it, as .toml"),
 }
 
 

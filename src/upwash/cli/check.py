@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from msgspec.structs import replace
 from rich.console import Console
 
-from upwash.cli.arguments import OneOf, figures_of, figures_with, flown_by, option, seeds_of
+from upwash.cli.arguments import OneOf, figures_of, figures_with, flown_by, option, reads, seeds_of
 from upwash.config import read_drone_config, refuse_several
 from upwash.errors import UsageError
 from upwash.lab.campaigns.campaign import here_first
@@ -19,7 +18,7 @@ from upwash.preflight.fleet import show_fleet_check
 from upwash.support.progress import work
 
 ARGUMENTS = {
-    "config": option("the drone's configuration or a scenario, a TOML file", type=Path),
+    "config": reads("the drone's configuration or a scenario, a TOML file"),
     **seeds_of("where there is noise, fly each prediction", default=5),
     "--workers N": "processes, where they pay (default: one per core)",
     "--place N": option("suggest where N more servers would help most, together", default=0),

@@ -7,6 +7,7 @@ import functools
 import sys
 from collections.abc import Callable, Sequence
 
+from upwash.cli.arguments import reads
 from upwash.errors import UsageError
 from upwash.report.client.album import MOST_BYTES
 from upwash.report.client.document import Wording, client_document
@@ -19,7 +20,9 @@ CLIENT = {
     "--client": "with -o: the document for the client, of objects, places and pictures, in place of the page",
     "--title TEXT": "with --client: its title (default: Inspection, and the date)",
     "--note TEXT": "with --client: a note under the title; each line is a paragraph",
-    "--labels FILE": "with --client: a CSV file with the client's words: label, name, severity, colour",
+    "--labels FILE": reads(
+        "with --client: a CSV file with the client's words: label, name, severity, colour"
+    ),
 }
 _LONGEST_TITLE, _LONGEST_NOTE = 200, 5000  # characters
 

@@ -7,13 +7,12 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from upwash.cli.arguments import figures_of, figures_with, option, repeated, seeds, seeds_of
+from upwash.cli.arguments import figures_of, figures_with, option, reads, repeated, seeds, seeds_of
 from upwash.errors import UsageError
 from upwash.lab.campaigns.comparison import ComparedPolicy, compare
 from upwash.lab.campaigns.sweep import read_overrides
@@ -27,7 +26,7 @@ Cell = Callable[[ComparedPolicy], str]
 
 
 ARGUMENTS = {
-    "scenarios SCENARIO": option("TOML files", type=Path, nargs="*"),
+    "scenarios SCENARIO": reads("TOML files", nargs="*"),
     "--thesis": "the eight cells of the thesis's experiments too",
     "--worlds N|A..B": option(
         "the drawn worlds of the seeds 1 to N, or A to B, too: each is flown once", type=seeds

@@ -12,6 +12,7 @@ from upwash.cli.arguments import (
     new_run_folder,
     option,
     policy_instead_of,
+    reads,
     require_linux,
 )
 from upwash.errors import UsageError
@@ -34,7 +35,7 @@ _STAY_OR_GO = "whether to fly on before an answer is there, instead of policy.st
 ARGUMENTS = {
     "--drones N": option(_DRONES, type=_drones, default=1),
     **FOLDER,
-    "--runtime FILE": "a table [runtime] for both daemons, such as containers",
+    "--runtime FILE": reads("a table [runtime] for both daemons, such as containers"),
     **policy_instead_of("the demonstration's"),
     "--moving": "take the photos in flight, along rows without stops",
     "--stay-or-go": option(_STAY_OR_GO, choices=("stay", "go", "learn")),

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from upwash.cli.arguments import FOLDER, new_run_folder, option, repeated, require_linux
+from upwash.cli.arguments import FOLDER, new_run_folder, option, reads, repeated, require_linux
 from upwash.emulation.enclosure import clean, require_root_and_tools
 from upwash.emulation.request import EmulationRequest
 from upwash.errors import UsageError
@@ -13,7 +12,7 @@ from upwash.support.loading import extra
 from upwash.support.text import counted
 
 ARGUMENTS = {
-    "scenarios SCENARIO": option("TOML files with the same servers", nargs="*", type=Path),
+    "scenarios SCENARIO": reads("TOML files with the same servers", nargs="*"),
     "--drones N": option("fly each scenario with N drones at once", default=1),
     "--radio": option(
         "cables shaped by tables of goodput (default), or ns-3 in real time (make native)",

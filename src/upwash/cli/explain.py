@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import argparse
 
-from upwash.cli.arguments import OneOf, option
+from upwash.cli.arguments import OneOf, option, reads, whole
 from upwash.cli.other_policies import OTHERS_FLY
 from upwash.lab.explanation import CallChoice, show_explanation
 
 ARGUMENTS = {
-    "log LOG": "an event log, of `fly`, `demo` or `simulate`",
-    "--scenario FILE": OTHERS_FLY,
+    "log LOG": reads("an event log, of `fly`, `demo` or `simulate`"),
+    "--scenario FILE": reads(OTHERS_FLY),
     "--drone NAME": "the drone of that world whose policy changes (default: the log's)",
     "calls": OneOf(
         {
-            "--waypoint N": option("the calls of that waypoint alone", type=int),
+            "--waypoint N": option("the calls of that waypoint alone", type=whole),
             "--worst N": "only the N calls that lost most against the best place expected for them",
         }
     ),

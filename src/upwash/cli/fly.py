@@ -23,7 +23,8 @@ from upwash.cli.arguments import (
     flown_by,
     new_run_folder,
     option,
-    warn_of_plans,
+    warn_of_files,
+    writes,
 )
 from upwash.cli.exit_codes import MEANINGS
 from upwash.config import DroneConfig, never_offloaded, read_drone_config, refuse_several, waypoints
@@ -65,8 +66,8 @@ ARGUMENTS = {
     "--autopilot CONNECTION": "instead of the configured one",
     "log": OneOf(
         {
-            "--log": option("where the event log goes (default: runs/TIME/events.jsonl)", type=Path),
-            "--resume LOG": "take up the mission that this event log is of, where it broke off",
+            "--log": writes("where the event log goes (default: runs/TIME/events.jsonl)"),
+            "--resume LOG": writes("take up the mission that this event log is of, where it broke off"),
         }
     ),
     "shown": OneOf(
@@ -84,7 +85,7 @@ def run(options: argparse.Namespace) -> None:
     """Fly; returns when the mission is over."""
     config = flown_by(read_drone_config(options.config), options.autopilot)
     refuse_several(config, options.config, what="a flight")
-    warn_of_plans(config)
+    warn_of_files(config)
     for problem in never_offloaded(config):
         sys.stderr.write(f"upwash: warning: {problem}\n")
     for _, doubt in photo_doubts(config):

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 
-from upwash.cli.arguments import count, option, seeds_of
+from upwash.cli.arguments import count, option, seeds_of, writes
 from upwash.emulation.goodput import Measurement, measure, write_table
 from upwash.emulation.native import WIFI
 from upwash.support.progress import work
 
 ARGUMENTS = {
     "radio": option("the radio's settings", choices=("disc12", "disc54")),
-    "--out FILE": option("the csv file to write", required=True),
+    "--out FILE": writes("the csv file to write", required=True),
     "--range M": option("the radio's range (default: 100)", type=count, default=100, dest="range_m"),
     "--request BYTES": option(
         "size of a transfer (default: 430000)", type=count, default=430_000, dest="request_bytes"

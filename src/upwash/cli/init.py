@@ -6,7 +6,7 @@ import argparse
 import shlex
 from pathlib import Path
 
-from upwash.cli.arguments import announce, option
+from upwash.cli.arguments import announce, fills
 from upwash.errors import UsageError
 from upwash.real.trust.authority import make_keys
 from upwash.support.output_files import write_file
@@ -15,7 +15,7 @@ _TEMPLATES = Path(__file__).with_name("project")
 _NAMES = {"gitignore": ".gitignore"}  # Git would obey the template under its own name
 
 
-ARGUMENTS = {"folder": option("a new or empty folder", type=Path)}
+ARGUMENTS = {"folder": fills("a new or empty folder")}
 
 
 def run(options: argparse.Namespace) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from upwash.cli.arguments import announce, option, repeated
+from upwash.cli.arguments import announce, fills, option, repeated, writes
 from upwash.errors import UsageError
 from upwash.real.mavlink.signing import make_signing_key
 from upwash.real.trust.authority import drop_former_authorities, made_in, make_keys, renew_authority, revoke
@@ -35,7 +35,7 @@ def days(text: str) -> timedelta:
 
 
 ARGUMENTS = {
-    "folder": option("where they go; an authority that is there is used again", type=Path, nargs="?"),
+    "folder": fills("where they go; an authority that is there is used again", nargs="?"),
     "--server NAME[,NAME]": repeated(
         "a certificate for a daemon that acts as the server, or as each of several"
     ),
@@ -48,7 +48,7 @@ ARGUMENTS = {
         "for how long new certificates are valid (default: 730; at most until the authority's own ends)",
         type=days,
     ),
-    "--signing FILE": "make a key for MAVLink messages, and print the passphrase for the autopilot",
+    "--signing FILE": writes("make a key for MAVLink messages, and print the passphrase for the autopilot"),
     "--new-authority": "make another authority, which signs from now on; what the former signed is believed "
     "beside it",
     "--drop-former-authorities": "from now on nothing is believed but what the present authority signed",

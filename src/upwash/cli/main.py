@@ -28,6 +28,7 @@ from upwash.errors import (
 )
 from upwash.support.loading import look_here
 from upwash.support.progress import shown
+from upwash.support.spared import sparing
 from upwash.support.standard_streams import forgiving_streams, give_up_output, open_closed_streams
 from upwash.support.text import escaped_lines
 
@@ -92,7 +93,12 @@ def _run(arguments: Sequence[str]) -> int:
     look_here()
     complain = functools.partial(_complain, with_trace=options.verbose)
     try:
-        with contextlib.nullcontext() if _shows_itself(options.command) else shown(options.command):
+        from upwash.cli.arguments import inputs_of, outputs_of
+
+        with (
+            sparing(inputs_of(options), outputs_of(options)),
+            contextlib.nullcontext() if _shows_itself(options.command) else shown(options.command),
+        ):
             return ExitCode.FAILURE if options.run(options) is False else ExitCode.DONE
     except UsageError as error:
         return complain(error, ExitCode.USAGE)
@@ -139,9 +145,9 @@ def command_line(words: Collection[str] = tuple(_COMMANDS)) -> argparse.Argument
             module = import_module(f"upwash.cli.{name}")
             from upwash.cli.arguments import add_options  # which the version and the help do without
 
-            add_options(command, module.ARGUMENTS)
+            named = tuple(add_options(command, module.ARGUMENTS))
             command.epilog = getattr(module, "EPILOG", None)
-            command.set_defaults(run=module.run, command=name)
+            command.set_defaults(run=module.run, command=name, named=named)
         _add_verbose(command, default=argparse.SUPPRESS)
     return parser
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-from pathlib import Path
 
-from upwash.cli.arguments import announce, option, repeated
+from upwash.cli.arguments import announce, fills, option, read_path, reads, repeated
 from upwash.config import read_daemon_config
 from upwash.packaging.contents import extra_of
 from upwash.packaging.image import Format, Recipe, package
@@ -17,12 +16,14 @@ _KIND = "for Docker and Podman, or for LXD and Incus; default: as the configurat
 _BASE = "the system: the /usr of the machine that runs it (default), or a Debian of the image's own"
 ARGUMENTS = {
     "service": "one of the configuration's services, or a bundled one",
-    "--output DIR": option("where the file goes", required=True),
-    "--config": option("a daemon's configuration: its services, its container engine", type=Path),
+    "--output DIR": fills("where the file goes", required=True),
+    "--config": reads("a daemon's configuration: its services, its container engine"),
     "--requires DISTRIBUTION": repeated(
         "an installed Python distribution that the service imports; repeatable"
     ),
-    "--include PATH": repeated("a file or folder to lie beside the service's program; repeatable"),
+    "--include PATH": repeated(
+        "a file or folder to lie beside the service's program; repeatable", type=read_path
+    ),
     "--format": option(_KIND, choices=("docker", "lxd")),
     "--base": option(_BASE, choices=("host", "debootstrap"), default="host"),
     "--import": option("import it into the container engine, too", action="store_true", dest="imports"),

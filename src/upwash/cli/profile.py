@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 from rich.console import Console
 from rich.table import Table
 
-from upwash.cli.arguments import option
+from upwash.cli.arguments import option, reads, writes
 from upwash.config import DroneConfig, ServerConfig
 from upwash.config.drone_file import drone_config
 from upwash.config.reading import read_document
@@ -51,13 +51,13 @@ _LONGEST_LINE = 120  # characters
 
 ARGUMENTS = {
     "service": "a service of the configuration, a bundled one, or path/to/file.py:Class",
-    "--photos PATH": option("a folder of photos, or a film, to call it with, in turn", required=True),
-    "--config FILE": "the drone's configuration",
+    "--photos PATH": reads("a folder of photos, or a film, to call it with, in turn", required=True),
+    "--config FILE": reads("the drone's configuration"),
     "--server ADDRESS": "measure it there: a name or an address of the configuration",
     "--calls N": option("calls of each operation (default: 20)", default=20),
     "--each SETTING": "measure it with each value of a setting, such as the detector's engine, and name the fastest",
-    "--labels FOLDER": "labels of the photos, as YOLO has them, for the loss of less to send",
-    "--out FILE": "where the result goes (default: standard output)",
+    "--labels FOLDER": reads("labels of the photos, as YOLO has them, for the loss of less to send"),
+    "--out FILE": writes("where the result goes (default: standard output)"),
 }
 
 

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
-from upwash.cli.arguments import option
+from upwash.cli.arguments import PRINTED, reads, writes
 from upwash.cli.client_document import CLIENT, client_document_of
 from upwash.cli.other_policies import OTHERS_FLY, others_flown
 from upwash.errors import UsageError
@@ -17,29 +17,29 @@ from upwash.report.exports import write_csv, write_geojson, write_json
 from upwash.report.finding_files import FORMATS, findings_file
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record, read_records, reviewed_of
-from upwash.report.reviews import NO_REVIEWS, logs_among
+from upwash.report.reviews import NO_REVIEWS, logs_among, review_file
 from upwash.support.loading import extra
 from upwash.support.output_files import write_file
 from upwash.support.progress import work
+from upwash.support.spared import require_unwritten
 from upwash.support.standard_streams import print_bytes
 from upwash.view.file import write_page
 
 Writer = Callable[[Sequence[Record]], bytes | Iterable[bytes]]
 
-_PRINTED = Path("-")
-
-
 ARGUMENTS = {
-    "logs LOG": option("an event log, flown or simulated", nargs="+"),
-    "-o --out FILE": "an HTML page about all of them, side by side",
-    "--csv FILE": "a row for each call; - prints it",
-    "--geojson FILE": "tracks, waypoints, ranges, calls and photos",
-    "--findings FILE": "each thing that was found, as .csv, .geojson or .kml; as .zip all three, with pictures",
-    "--mcap FILE": "a recording that Foxglove opens",
-    "--bag DIR": "a ROS 2 bag, a new folder",
-    "--dataset DIR": "the photos with accepted boxes, as YOLO's tools train with them, a new folder",
-    "--scenario FILE": OTHERS_FLY,
-    "--photos DIR": option(
+    "logs LOG": reads("an event log, flown or simulated", nargs="+"),
+    "-o --out FILE": writes("an HTML page about all of them, side by side"),
+    "--csv FILE": writes("a row for each call; - prints it"),
+    "--geojson FILE": writes("tracks, waypoints, ranges, calls and photos"),
+    "--findings FILE": writes(
+        "each thing that was found, as .csv, .geojson or .kml; as .zip all three, with pictures"
+    ),
+    "--mcap FILE": writes("a recording that Foxglove opens"),
+    "--bag DIR": writes("a ROS 2 bag, a new folder"),
+    "--dataset DIR": writes("the photos with accepted boxes, as YOLO's tools train with them, a new folder"),
+    "--scenario FILE": reads(OTHERS_FLY),
+    "--photos DIR": reads(
         "with -o, --mcap, --bag, --findings or --dataset: the folder of the photos that the logs name; with "
         "--client one for all logs, or one for each, in their order",
         action="append",
@@ -54,6 +54,8 @@ ARGUMENTS = {
 def run(options: argparse.Namespace) -> None:
     """Make the wanted files."""
     options.logs = logs_among(options.logs)
+    for log in options.logs:
+        require_unwritten(review_file(log))
     for_client = client_document_of(options)
     folder = options.photos[0] if options.photos else None
     files: list[tuple[Path | None, Writer]] = [
@@ -62,7 +64,7 @@ def run(options: argparse.Namespace) -> None:
         (options.geojson, _in_utf8(write_geojson)),
         (options.findings, functools.partial(_findings, file=options.findings, photos=folder)),
         (options.mcap, functools.partial(_recording, photos=folder)),
-        (_PRINTED if options.json else None, _in_utf8(lambda records: write_json(records) + "\n")),
+        (PRINTED if options.json else None, _in_utf8(lambda records: write_json(records) + "\n")),
     ]
     _require_sense(options)
     wanted = [(file, write) for file, write in files if file is not None]
@@ -71,7 +73,7 @@ def run(options: argparse.Namespace) -> None:
             "nothing to make: ask for -o FILE, --csv FILE, --geojson FILE, --findings FILE, --mcap FILE, --bag DIR, "
             "--dataset DIR or --json"
         )
-    if [file for file, _ in wanted].count(_PRINTED) > 1:
+    if [file for file, _ in wanted].count(PRINTED) > 1:
         raise UsageError("two outputs would be printed as one: name a file for all but one of them")
     if options.bag:
         with extra("bag"):
@@ -84,7 +86,7 @@ def run(options: argparse.Namespace) -> None:
             written.append((file, write(records)))
             done()
     for file, content in written:
-        if file == _PRINTED:
+        if file == PRINTED:
             print_bytes(content)
         else:
             write_file(file, content)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 
-from upwash.cli.arguments import figures_of, figures_with, seeds_of
+from upwash.cli.arguments import figures_of, figures_with, seeds_of, writes
 from upwash.lab.reproduction.output import show_reproduction
 
 ARGUMENTS = {
     **seeds_of("fly each cell", default=30),
     **figures_with("the figures 4.4 to 4.12"),
     "--sensitivity": "also print the effect of each parameter on mission times",
-    "--json FILE": "write the figures of each mission there",
+    "--json FILE": writes("write the figures of each mission there"),
 }
 
 

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-from pathlib import Path
 
-from upwash.cli.arguments import config_of, new_run_folder, option
+from upwash.cli.arguments import config_of, new_run_folder, option, writes
 from upwash.config import drone_config, read_document, refuse_several
 
 _NO_MISSION = {"waypoints_m": [[0, 0]]}
 
 ARGUMENTS = {
     **config_of("drone"),
-    "--log": option("where the event log goes (default: runs/TIME/events.jsonl)", type=Path),
+    "--log": writes("where the event log goes (default: runs/TIME/events.jsonl)"),
     "--managed": "wait until a lifecycle manager configures and activates the node",
     "--ros-args ARGS": option(
         "arguments of ROS 2, such as -r image/compressed:=/camera/image/compressed; all that follow",

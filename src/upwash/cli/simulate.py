@@ -21,8 +21,12 @@ from upwash.cli.arguments import (
     figures_with,
     option,
     policy_instead_of,
-    warn_of_plans,
+    reads,
+    warn_of_files,
+    whole,
+    writes,
 )
+from upwash.config import DroneConfig
 from upwash.errors import UpwashError, UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.kept import lines_of
@@ -36,6 +40,7 @@ from upwash.support.output_files import write_file
 from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.software import software
+from upwash.support.spared import require_spared
 from upwash.support.tables import show_table
 from upwash.support.text import printable
 
@@ -44,11 +49,13 @@ _PRINTED_OF_FLEET = ("scenario", "seed", "mean_s", "worst_s", "jain", "saved_s",
 
 
 ARGUMENTS = {
-    "scenario": option("the scenario, a TOML file", type=Path),
+    "scenario": reads("the scenario, a TOML file"),
     **policy_instead_of("the scenario's"),
-    "--seed N": option("instead of the scenario's", type=int),
+    "--seed N": option("instead of the scenario's", type=whole),
     "shown": OneOf({"--json": "print the result as one JSON object", **CALLS}),
-    "--log FILE": "where the event log goes, or those of several drones as FILE-NAME (default: nowhere)",
+    "--log FILE": writes(
+        "where the event log goes, or those of several drones as FILE-NAME (default: nowhere)"
+    ),
     "--keep-coverage": "write what was measured of servers without a range to network.coverage_map, as a "
     "flight does",
     "--keep-demands": "write the places of demands to policy.demand_map, as a flight does",
@@ -59,9 +66,9 @@ ARGUMENTS = {
 def run(options: argparse.Namespace) -> None:
     """Simulate and print the results."""
     config = read_scenario(options.scenario, policy=options.policy, seed=options.seed)
-    warn_of_plans(config)
+    warn_of_files(config)
     if config.drones:
-        _run_fleet(options)
+        _run_fleet(options, config)
     else:
         _run_one(options)
 
@@ -89,7 +96,7 @@ def _run_one(options: argparse.Namespace) -> None:
         raise UpwashError(f"the mission was not completed: {simulation.failure}")
 
 
-def _run_fleet(options: argparse.Namespace) -> None:
+def _run_fleet(options: argparse.Namespace, config: DroneConfig) -> None:
     if options.keep_coverage:
         raise UsageError("--keep-coverage keeps one drone's map, and this scenario has several drones")
     if options.keep_demands:
@@ -104,6 +111,7 @@ def _run_fleet(options: argparse.Namespace) -> None:
             "--figures draws one mission, and this scenario has several drones: --log keeps their logs, "
             "and upwash report makes a page of them"
         )
+    logs = {} if options.log is None else _fleet_logs(options.log, config)
     with work("simulating"):
         fleet = simulate_fleet(options.scenario, policy=options.policy, seed=options.seed)
     if options.json:
@@ -114,10 +122,17 @@ def _run_fleet(options: argparse.Namespace) -> None:
         _print_fleet(fleet)
     if options.log is not None:
         for name, simulation in fleet.drones.items():
-            log = options.log.with_name(f"{options.log.stem}-{name}{options.log.suffix}")
-            _write_log(log, simulation, options.scenario, of=fleet)
+            _write_log(logs[name], simulation, options.scenario, of=fleet)
     for name, failure in fleet.failures.items():
         raise UpwashError(f"{name} did not complete its mission: {failure}")
+
+
+def _fleet_logs(log: Path, config: DroneConfig) -> dict[str, Path]:
+    """The log of each drone; raises UsageError where one is an input."""
+    logs = {drone.name: log.with_name(f"{log.stem}-{drone.name}{log.suffix}") for drone in config.drones}
+    for each in logs.values():
+        require_spared(each)
+    return logs
 
 
 def _draw(simulation: Simulation, scenario: Path, figures: FigureFiles) -> None:

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from upwash.cli.arguments import announce, option
+from upwash.cli.arguments import announce, option, reads
 from upwash.core.admission.clients import (
     AccountStatus,
     DroneUsage,
@@ -41,7 +41,9 @@ ARGUMENTS = {
     "--operator NAME": option(
         "the operator whose certificate is used (default: operator)", default="operator"
     ),
-    "--keys DIR": "where authority.pem, NAME.pem and NAME.key lie; without it none are used, on this machine only",
+    "--keys DIR": reads(
+        "where authority.pem, NAME.pem and NAME.key lie; without it none are used, on this machine only"
+    ),
     "--json": "print the daemon's answer as JSON, for programs",
 }
 

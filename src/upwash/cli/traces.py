@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from upwash.cli.arguments import option
+from upwash.cli.arguments import fills, reads
 from upwash.errors import UsageError
 from upwash.report.record import read_records
 from upwash.report.traces import settings_of, traces_of
@@ -13,8 +13,8 @@ from upwash.support.output_files import write_file
 from upwash.support.progress import work
 
 ARGUMENTS = {
-    "log LOG": "an event log, flown or simulated",
-    "--out DIR": option("where the files go (default: traces)", default=Path("traces")),
+    "log LOG": reads("an event log, flown or simulated"),
+    "--out DIR": fills("where the files go (default: traces)", default=Path("traces")),
 }
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import math
 from typing import Any
 
-from upwash.cli.arguments import announce, option, repeated
+from upwash.cli.arguments import announce, number, option, reads, repeated, whole
 from upwash.core.geo import GeoPosition
 from upwash.errors import UsageError
 from upwash.launch.vehicle import run_vehicle
 from upwash.mavlink.version import Version
+from upwash.support.text import number_of
 from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.body.copter import SecondBattery, read_fault
 from upwash.vehicle.body.parameters import read_setting
@@ -19,7 +21,7 @@ from upwash.vehicle.px4.settings import Px4Settings
 
 def _place(text: str) -> GeoPosition:
     try:
-        latitude_deg, longitude_deg = (float(part) for part in text.split(","))
+        latitude_deg, longitude_deg = map(number_of, text.split(","))
     except ValueError:
         raise argparse.ArgumentTypeError(
             f"{text!r} is not LAT,LON in degrees, such as 39.3666,22.9507"
@@ -34,7 +36,7 @@ def _place(text: str) -> GeoPosition:
 def _rally_point(text: str) -> GeoPosition:
     place, _, altitude = text.rpartition(",")
     try:
-        where, altitude_m = _place(place), float(altitude)
+        where, altitude_m = _place(place), number_of(altitude)
     except (ValueError, argparse.ArgumentTypeError):
         raise UsageError(
             f'"{text}" is no rally point: write LAT,LON,ALT in degrees and metres, such as 39.3670,22.9511,30'
@@ -49,7 +51,7 @@ def _rally_point(text: str) -> GeoPosition:
 def _second_battery(text: str) -> SecondBattery:
     percent, _, seconds = text.partition(":")
     try:
-        return SecondBattery(float(percent), *([float(seconds)] if seconds else []))
+        return SecondBattery(number_of(percent), *([number_of(seconds)] if seconds else []))
     except ValueError:
         raise argparse.ArgumentTypeError(
             f'"{text}" is no battery: write percent, such as 80 or 80:400'
@@ -59,12 +61,14 @@ def _second_battery(text: str) -> SecondBattery:
 def _glitch(text: str) -> dict[str, float]:
     size, _, cleared = text.partition(":")
     try:
-        found = {"glitch_m": float(size)}
-        return found | {"glitch_cleared_after_s": float(cleared)} if cleared else found
+        found = {"glitch_m": number_of(size)}
+        if cleared:
+            found["glitch_cleared_after_s"] = math.inf if cleared == "inf" else number_of(cleared)
     except ValueError:
         raise argparse.ArgumentTypeError(
             f'"{text}" is no glitch: write metres, such as 30 or 30:12'
         ) from None
+    return found
 
 
 _RALLY_WITHIN_M = 1_000.0
@@ -79,12 +83,14 @@ ARGUMENTS = {
     "--listen": option("udp:HOST:PORT or tcp:HOST:PORT", default="udp:127.0.0.1:14550", type=None),
     "--version X.Y.Z": "of its firmware (default: 4.7.0-dev, PX4: 1.16.1): its names of parameters, and what it "
     "knows",
-    "--serial N": option("of its board, as two vehicles differ (default: one of its own; 0: none)", type=int),
+    "--serial N": option(
+        "of its board, as two vehicles differ (default: one of its own; 0: none)", type=whole
+    ),
     # where it stands, and its state at boot
     "--home LAT,LON": option("where it stands", type=_place, default="39.3666,22.9507"),
-    "--home-altitude M": option("of the ground above the sea (default: 0)", type=float, default=0.0),
-    "--armable-after S": option("after boot, in seconds (default: 41.4, PX4: 4)", type=float),
-    "--battery PERCENT": option("how full it is at boot", type=float, default=100.0),
+    "--home-altitude M": option("of the ground above the sea (default: 0)", type=number, default=0.0),
+    "--armable-after S": option("after boot, in seconds (default: 41.4, PX4: 4)", type=number),
+    "--battery PERCENT": option("how full it is at boot", type=number, default=100.0),
     "--second-battery PERCENT[:SECONDS]": option(
         "a second battery, how full it is at boot, and how long it lasts when full (default: no second battery)",
         type=_second_battery,
@@ -92,9 +98,9 @@ ARGUMENTS = {
     "--param NAME=VALUE": repeated("a parameter at boot, such as FENCE_RADIUS=60", "parameters"),
     "--rally LAT,LON,ALT": repeated("a rally point, at an altitude in metres above home", "rally"),
     # how it flies, how its time passes, and what goes wrong
-    "--speedup N": option("run its clock N times as fast", type=float, default=1.0),
+    "--speedup N": option("run its clock N times as fast", type=number, default=1.0),
     "--acceleration M_S2": option(
-        "arducopter: speed up and brake alike, in m/s² (default: as a recorded one did)", type=float
+        "arducopter: speed up and brake alike, in m/s² (default: as a recorded one did)", type=number
     ),
     "--fault KIND[:FROM[-TO]]": repeated(
         "link, gps, glitch, battery, second-battery, radio, ground, compass or arming, from and to seconds after "
@@ -103,10 +109,10 @@ ARGUMENTS = {
     ),
     "--glitch M[:CLEARED_S]": option(_GLITCH, type=_glitch),
     "--clock-offset S": option(
-        "arducopter: difference of its GPS's time of day from this machine's clock", type=float, default=0.0
+        "arducopter: difference of its GPS's time of day from this machine's clock", type=number, default=0.0
     ),
     "--one-peer": "px4, UDP: answer only the first sender until a restart, as a real one",
-    "--signing-key FILE": "sign all messages with its key, and obey only messages signed with it",
+    "--signing-key FILE": reads("sign all messages with its key, and obey only messages signed with it"),
 }
 
 

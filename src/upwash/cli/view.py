@@ -6,7 +6,7 @@ import argparse
 import asyncio
 import os
 
-from upwash.cli.arguments import LIVE_PORT, announce, option, port
+from upwash.cli.arguments import LIVE_PORT, announce, option, port, reads
 from upwash.cli.other_policies import OTHERS_FLY, others_flown
 from upwash.report.reviews import logs_among
 from upwash.support.loading import extra
@@ -15,14 +15,14 @@ _NICENESS = 10  # a flight that goes on beside it comes first, and the page is n
 
 
 ARGUMENTS = {
-    "logs LOG": option(
+    "logs LOG": reads(
         "event logs, of flights under way or over: those of several drones are shown on one map, those of one "
         "drone side by side",
         nargs="+",
     ),
     "--port": option(f"on this machine (default: {LIVE_PORT}; 0: any)", type=port, default=LIVE_PORT),
-    "--scenario FILE": OTHERS_FLY,
-    "--photos FOLDER": "where the photos are that the log names",
+    "--scenario FILE": reads(OTHERS_FLY),
+    "--photos FOLDER": reads("where the photos are that the log names"),
     "--tiles URL": "load map tiles from there: https://HOST/{z}/{x}/{y}.png (default: none)",
     "--credit TEXT": option("the credit to show for the tiles", default=""),
 }

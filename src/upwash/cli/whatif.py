@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 import msgspec
 from rich.console import Console
 from rich.table import Table
 
-from upwash.cli.arguments import option, repeated
+from upwash.cli.arguments import option, reads, repeated
 from upwash.core.policies.names import POLICIES
 from upwash.eventlog.log import EventLog
 from upwash.lab.whatif import DRAWS, Replays, Tuned, Tuning, WhatIf, order_of, tune, what_if
@@ -20,7 +19,7 @@ from upwash.support.tables import show_table
 from upwash.support.text import counted, printable
 
 ARGUMENTS = {
-    "logs LOG": option("event logs of flights, flown or simulated", type=Path, nargs="+"),
+    "logs LOG": reads("event logs of flights, flown or simulated", nargs="+"),
     "--policy NAME": repeated(
         "predict these policies; your own as mine.py:Class (default: all built in)", "policies"
     ),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from upwash.cli.arguments import option, seeds
+from upwash.cli.arguments import fills, option, seeds
 from upwash.lab.scenario import as_toml
 from upwash.lab.worlds import draw_world
 from upwash.support.output_files import write_file
@@ -18,7 +18,7 @@ from upwash.support.text import counted
 ARGUMENTS = {
     "--seeds N|A..B": option("draw the worlds of the seeds 1 to N, or A to B", type=seeds, required=True),
     "--surveys": "draw surveys, whose photos overlap",
-    "--out DIR": option(
+    "--out DIR": fills(
         "where the scenarios go, as world-SEED.toml or survey-SEED.toml (default: worlds)",
         default=Path("worlds"),
     ),

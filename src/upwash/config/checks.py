@@ -7,8 +7,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from upwash.config.coverage import CoverageFile
-from upwash.config.demand_map import DemandFile
 from upwash.config.drone import (
     AutopilotConfig,
     CameraConfig,
@@ -73,7 +71,6 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
     yield from name_problems("server", [server.name for server in config.servers])
     yield from _network_problems(config.network)
     yield from _coverage_problems(config)
-    yield from _demand_map_problems(config)
     for index, service in enumerate(config.services):
         key = f"service[{index}]"
         yield from _key_problems(f"{key}.local_pace_s", service, service.local_pace_s)
@@ -473,27 +470,11 @@ def _why_placed(server: ServerConfig) -> str:
 
 
 def _coverage_problems(config: DroneConfig) -> Iterator[Problem]:
-    key, known, home = "network.coverage_map", config.network.coverage_map, config.mission.home
-    if known is None:
-        return
-    if not measured_servers(config):
-        yield key, 'no server has range_m = "measured", so there is nothing to keep: leave it out'
-    elif not known.is_empty and known.has_home != (home is not None):
-        yield key, _another_home(known)
-
-
-def _demand_map_problems(config: DroneConfig) -> Iterator[Problem]:
-    known, home = config.policy.demand_map, config.mission.home
-    if known is not None and not known.is_empty and known.has_home != (home is not None):
-        yield "policy.demand_map", _another_home(known)
-
-
-def _another_home(known: CoverageFile | DemandFile) -> str:
-    its, ours = ("a", "none") if known.has_home else ("no", "one")
-    return (
-        f"{known.file} was measured around {its} home, and the mission has {ours}: "
-        "name a map of this field, or give mission.home as it was then"
-    )
+    if config.network.coverage_map is not None and not measured_servers(config):
+        yield (
+            "network.coverage_map",
+            'no server has range_m = "measured", so there is nothing to keep: leave it out',
+        )
 
 
 def _times_problems(

@@ -6,33 +6,23 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
+import msgspec
 from msgspec import Meta, Struct
 
-from upwash.config.kept_places import (
-    FORGOTTEN_AFTER,
-    Count,
-    Home,
-    KeptMap,
-    Metres,
-    home_of,
-    read_kept,
-    shift,
-    write_kept,
-)
-from upwash.core.geo import MOST_PLACES, GeoPosition, Position
+from upwash.config.kept_places import FORGOTTEN_AFTER, MOST_FIELDS, Count, Home, KeptMap, home_of, moved
+from upwash.core.geo import MOST_PLACES, GeoPosition, Metres, Position
 from upwash.core.knowledge.coverage import Coverage, MeasuredPlace
 from upwash.core.knowledge.estimates import WINDOW_LENGTH
 from upwash.core.operation import Operation
 
 _Amount = Annotated[float, Meta(ge=0, le=1e18)]
-_Seconds = Annotated[float, Meta(ge=0, le=1e6)]
 
 
 class _Calls(Struct, forbid_unknown_fields=True):
     service: str
     method: str
     key: str
-    came_to_s: Annotated[Sequence[_Seconds], Meta(min_length=1, max_length=WINDOW_LENGTH)]
+    came_to_s: Annotated[Sequence[_Amount], Meta(min_length=1, max_length=WINDOW_LENGTH)]
 
 
 class _Place(Struct, forbid_unknown_fields=True):
@@ -46,31 +36,35 @@ class _Place(Struct, forbid_unknown_fields=True):
     calls: Sequence[_Calls] = ()
 
 
-class _Map(Struct, forbid_unknown_fields=True):
+_Servers = Mapping[str, Annotated[Sequence[_Place], Meta(max_length=MOST_PLACES)]]
+
+
+class _Field(Struct, forbid_unknown_fields=True):
+    home: Home | None = None
+    servers: _Servers = {}
+
+
+class _File(Struct, forbid_unknown_fields=True):
     upwash_coverage: Literal[1]
     home: Home | None = None
-    servers: Mapping[str, Annotated[Sequence[_Place], Meta(max_length=MOST_PLACES)]] = {}
+    servers: _Servers = {}
+    elsewhere: Annotated[Sequence[_Field], Meta(max_length=MOST_FIELDS)] = ()
 
 
-class CoverageFile(KeptMap):
-    """A coverage map and its file; a missing file is an empty map."""
+class CoverageFile(KeptMap[_Field]):
+    """A coverage map and its file."""
 
     def __init__(self, file: Path) -> None:
-        self._map = read_kept(file, _Map, empty=_Map(upwash_coverage=1), name="coverage map")
-        super().__init__(file, self._map, self._map.home)
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether no flight has measured a place yet."""
-        return not any(self._map.servers.values())
+        super().__init__(file, _fields, mark="upwash_coverage", name="coverage map")
 
     def places(self, home: GeoPosition | None) -> dict[str, list[MeasuredPlace]]:
         """What earlier flights measured of each server, around that home; new values at each call."""
-        its_home = shift(self._map.home, home)
-        return {
-            server: [_place(place, its_home) for place in places]
-            for server, places in self._map.servers.items()
-        }
+        found: dict[str, list[MeasuredPlace]] = {}
+        for field, its_home in self._around(home):
+            for server, places in field.servers.items():
+                known = found.setdefault(server, [])
+                known += (place for entry in places if (place := _place(entry, its_home)) is not None)
+        return found
 
     def keep(self, coverage: Coverage, home: GeoPosition | None) -> None:
         """Write the map after a flight from that home; raises NotWritten.
@@ -79,28 +73,35 @@ class CoverageFile(KeptMap):
         """
         former = self.places(home)
         kept = {server: list(coverage.places(server)) for server in coverage.servers}
-        content = _Map(
-            upwash_coverage=1,
-            home=home_of(home),
-            servers={
-                server: [_entry(place) for place in places if place.flights_ago <= FORGOTTEN_AFTER]
-                for server, places in (former | kept).items()
+        servers = {
+            server: [_entry(place) for place in places if place.flights_ago <= FORGOTTEN_AFTER][:MOST_PLACES]
+            for server, places in (former | kept).items()
+        }
+        self._write(_File(1, home_of(home), servers, self._elsewhere(home)))
+
+
+def _fields(text: str) -> list[_Field]:
+    file = msgspec.json.decode(text, type=_File)
+    return [_Field(file.home, file.servers), *file.elsewhere]
+
+
+def _place(entry: _Place, home: Position) -> MeasuredPlace | None:
+    position = moved(entry.east_m, entry.north_m, home)
+    return (
+        None
+        if position is None
+        else MeasuredPlace(
+            position,
+            tried=max(entry.tried, entry.answered),
+            answered=entry.answered,
+            bits=entry.bits,
+            transfer_s=entry.transfer_s,
+            flights_ago=entry.flights_ago + 1,
+            came_to_s={
+                Operation(calls.service, calls.method, calls.key): tuple(calls.came_to_s)
+                for calls in entry.calls
             },
         )
-        write_kept(self.file, content)
-
-
-def _place(entry: _Place, home: Position) -> MeasuredPlace:
-    return MeasuredPlace(
-        Position(entry.east_m + home.east_m, entry.north_m + home.north_m),
-        tried=max(entry.tried, entry.answered),
-        answered=entry.answered,
-        bits=entry.bits,
-        transfer_s=entry.transfer_s,
-        flights_ago=entry.flights_ago + 1,
-        came_to_s={
-            Operation(calls.service, calls.method, calls.key): tuple(calls.came_to_s) for calls in entry.calls
-        },
     )
 
 

@@ -6,20 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
+import msgspec
 from msgspec import Meta, Struct
 
-from upwash.config.kept_places import (
-    FORGOTTEN_AFTER,
-    Count,
-    Home,
-    KeptMap,
-    Metres,
-    home_of,
-    read_kept,
-    shift,
-    write_kept,
-)
-from upwash.core.geo import MOST_PLACES, GeoPosition, Position
+from upwash.config.kept_places import FORGOTTEN_AFTER, MOST_FIELDS, Count, Home, KeptMap, home_of, moved
+from upwash.core.geo import MOST_PLACES, GeoPosition, Metres
 from upwash.core.planning.demand_map import DemandMap, DemandPlace
 
 _Answers = Annotated[float, Meta(ge=0, le=1e9)]
@@ -33,35 +24,39 @@ class _Place(Struct, forbid_unknown_fields=True):
     flights_ago: Count = 0
 
 
-class _Map(Struct, forbid_unknown_fields=True):
+_Places = Annotated[Sequence[_Place], Meta(max_length=MOST_PLACES)]
+
+
+class _Field(Struct, forbid_unknown_fields=True):
+    home: Home | None = None
+    places: _Places = ()
+
+
+class _File(Struct, forbid_unknown_fields=True):
     upwash_demands: Literal[1]
     home: Home | None = None
-    places: Annotated[Sequence[_Place], Meta(max_length=MOST_PLACES)] = ()
+    places: _Places = ()
+    elsewhere: Annotated[Sequence[_Field], Meta(max_length=MOST_FIELDS)] = ()
 
 
-class DemandFile(KeptMap):
-    """A map of demands and its file; a missing file is an empty map."""
+class DemandFile(KeptMap[_Field]):
+    """A map of demands and its file."""
 
     def __init__(self, file: Path) -> None:
-        self._map = read_kept(file, _Map, empty=_Map(upwash_demands=1), name="map of demands")
-        super().__init__(file, self._map, self._map.home)
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether no flight has had an answer yet."""
-        return not self._map.places
+        super().__init__(file, _fields, mark="upwash_demands", name="map of demands")
 
     def places(self, home: GeoPosition | None) -> list[DemandPlace]:
         """The places of earlier flights' answers around that home, at the beginning of the next flight."""
-        its_home = shift(self._map.home, home)
         return [
             DemandPlace(
-                Position(place.east_m + its_home.east_m, place.north_m + its_home.north_m),
+                position,
                 answers=place.answers,
                 demands=min(place.demands, place.answers),
                 flights_ago=place.flights_ago,
             ).faded()
-            for place in self._map.places
+            for field, its_home in self._around(home)
+            for place in field.places
+            if (position := moved(place.east_m, place.north_m, its_home)) is not None
         ]
 
     def keep(self, known: DemandMap, home: GeoPosition | None) -> None:
@@ -80,4 +75,9 @@ class DemandFile(KeptMap):
             for place in known.places()
             if place.flights_ago <= FORGOTTEN_AFTER
         ]
-        write_kept(self.file, _Map(upwash_demands=1, home=home_of(home), places=places))
+        self._write(_File(1, home_of(home), places, self._elsewhere(home)))
+
+
+def _fields(text: str) -> list[_Field]:
+    file = msgspec.json.decode(text, type=_File)
+    return [_Field(file.home, file.places), *file.elsewhere]

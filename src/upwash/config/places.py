@@ -148,20 +148,22 @@ def as_planned(
     )
 
 
-def plan_notices(config: DroneConfig) -> list[str]:
-    """What of the configuration's plans is flown otherwise than they say, or not at all.
+def file_notices(config: DroneConfig) -> list[str]:
+    """What of the configuration's plans is flown otherwise than they say, or not at all, and which maps are damaged.
 
-    Each is a sentence with the plan's file, the items and the reason.
+    Each is a sentence with the file, a plan's items, and the reason.
     """
     files = [config.mission.plan, *(drone.plan for drone in config.drones)]
-    notices = (
+    maps = (config.network.coverage_map, config.policy.demand_map)
+    damaged = (kept.notice for kept in maps if kept is not None and kept.notice)
+    plans = (
         f"{file.file}: {notice}"
         for file in files
         if file is not None
         for notice in file.plan.notices
         if config.mission.photos is None or not notice.only_without_photos
     )
-    return list(dict.fromkeys(notices))
+    return list(dict.fromkeys((*damaged, *plans)))
 
 
 @dataclass(frozen=True, slots=True)

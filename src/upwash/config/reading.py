@@ -18,6 +18,7 @@ from upwash.config.problems import Problem, impossible_values
 from upwash.config.values import PlanFile, SettingsTable
 from upwash.errors import ConfigError
 from upwash.support.input_files import read_named_text, read_toml
+from upwash.support.spared import require_unnamed
 
 T = TypeVar("T")
 Document = dict[str, Any]
@@ -33,6 +34,7 @@ def read_document(file: Path) -> Document:
     except ValueError as error:
         raise ConfigError(str(file), "", f"not valid TOML: {error}") from None
     refuse_first(file, impossible_values(document, ""))
+    require_unnamed(document, file)
     return document
 
 

@@ -26,10 +26,10 @@ from msgspec import Struct
 from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.errors import ConfigError
 from upwash.support.input_files import read_named_text
-from upwash.support.text import printable
+from upwash.support.text import named_twice, number_of, printable
 
 _MOST_BYTES = 50_000_000
-_MOST_ROWS = 1_000_000
+_MOST_LINES = 1_000_000
 _LONGEST = 60  # characters of a value that is quoted
 _LARGEST = 1e15
 _Kinds = tuple[tuple[str, ...], ...]
@@ -167,7 +167,11 @@ def _read(file: Path, _stamp: Stamp, kinds: _Kinds) -> Trace:
 def _lines(file: Path) -> Iterator[tuple[int, list[str]]]:
     """The number and the cells of each line."""
     text = read_named_text(file, most_bytes=_MOST_BYTES)
-    for number, line in enumerate(itertools.islice(text.splitlines(), _MOST_ROWS), start=1):
+    for number, line in enumerate(text.splitlines(), start=1):
+        if number > _MOST_LINES:
+            raise ConfigError(
+                str(file), "", f"more than {_MOST_LINES:,} lines: leave rows out, such as every second one"
+            )
         if line.strip() and not line.startswith("#"):
             try:
                 yield number, [cell.strip() for cell in next(csv.reader([line]))]
@@ -185,6 +189,8 @@ def _header(file: Path, first: tuple[int, list[str]], kinds: Sequence[tuple[str,
         wanted = ", or ".join(" and ".join(kind) for kind in kinds)
         found = printable(", ".join(names), _LONGEST) or "nothing"
         raise _problem(file, line, "", f"the first line has {found}: name the columns {wanted}")
+    if twice := named_twice(names):
+        raise _problem(file, line, printable(twice, _LONGEST), "two columns have this name: leave one out")
     return columns
 
 
@@ -196,7 +202,7 @@ def _cell(file: Path, line: int, row: list[str], columns: Mapping[str, int], nam
 
 def _number(file: Path, line: int, name: str, cell: str) -> float:
     try:
-        number = float(cell)
+        number = number_of(cell)
     except ValueError:
         number = math.nan
     most = _SIGNED.get(name, _MOST.get(name, _LARGEST))

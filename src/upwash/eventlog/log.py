@@ -96,6 +96,11 @@ class EventLog(Iterable[Event]):
         self.left_out = lines.left_out
 
 
+def may_begin_a_log(content: bytes) -> bool:
+    """Whether a file that begins so may be a log, perhaps a torn one."""
+    return any(content.startswith(each) or each.startswith(content) for each in _BEGINNINGS)
+
+
 def opened(path: Path) -> BinaryIO:
     """The file of a log, to be read from its beginning; raises OSError, or UsageError where it is no file."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)

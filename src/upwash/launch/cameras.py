@@ -88,13 +88,13 @@ def _source(module: ModuleType) -> str:
 def camera_without_device(config: CameraConfig, *, in_flight: bool = False) -> Camera | None:
     """The configured camera, or None for a device or a topic, which is not opened; raises UsageError."""
     if config.folder is not None:
-        return FolderCamera(config.folder, photo_s=config.photo_s, lens=_lens(config), in_flight=in_flight)
+        return FolderCamera(config.folder, photo_s=config.photo_s, lens=lens_of(config), in_flight=in_flight)
     if config.park_seed is not None:
         return RenderedCamera(config.park_seed, photo_s=config.photo_s, in_thread=True)
     if config.bag is not None:
         with extra("bag"):
             from upwash.real.camera.bag import BagCamera
-        return BagCamera(config.bag, config.topic, photo_s=config.photo_s, lens=_lens(config))
+        return BagCamera(config.bag, config.topic, photo_s=config.photo_s, lens=lens_of(config))
     if config.topic is not None:
         from upwash.ros.camera import require_ros
 
@@ -107,7 +107,7 @@ def camera_without_device(config: CameraConfig, *, in_flight: bool = False) -> C
     return None
 
 
-def _lens(config: CameraConfig) -> Lens | None:
+def lens_of(config: CameraConfig) -> Lens | None:
     """The configured lens as it is mounted, None without one; raises UsageError for a calibration that is none."""
     if config.calibration is not None:
         lens = read_calibration(config.calibration)
@@ -131,12 +131,12 @@ async def opened_camera(
     if camera is None and config.topic is not None:
         from upwash.ros.camera import topic_camera
 
-        return stack.enter_context(topic_camera(config.topic, lens=_lens(config)))
+        return stack.enter_context(topic_camera(config.topic, lens=lens_of(config)))
     if camera is None:
         assert config.device is not None  # noqa: S101
         camera = stack.enter_context(
             contextlib.closing(
-                await VideoCamera.open(config.device, latency_s=config.latency_s, lens=_lens(config))
+                await VideoCamera.open(config.device, latency_s=config.latency_s, lens=lens_of(config))
             )
         )
     return camera

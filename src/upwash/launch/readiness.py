@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import functools
 import importlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from datetime import UTC, datetime, timedelta
 from typing import NamedTuple
 
-from upwash.config import DroneConfig, UserConfig
+from upwash.config import CameraConfig, DroneConfig, UserConfig
 from upwash.errors import UpwashError
-from upwash.launch.cameras import camera_without_device, needs_camera
+from upwash.launch.cameras import camera_without_device, lens_of, needs_camera
 from upwash.launch.drone import (
     connection_of,
     drone_credentials,
@@ -22,6 +22,7 @@ from upwash.launch.drone import (
     require_certificates,
     signing_of,
 )
+from upwash.real.camera.album import require_room_for
 from upwash.real.camera.terrain import Terrain
 from upwash.support.loading import extra
 
@@ -46,11 +47,23 @@ def refusals(config: DroneConfig, *, valid_now: bool = True) -> Iterator[FlightR
 
     With `valid_now` the drone's certificate must be valid by this computer's clock.
     """
-    for kind, step in _steps(config, valid_now=valid_now):
+    return _refused(_steps(config, valid_now=valid_now))
+
+
+def file_refusals(config: DroneConfig) -> Iterator[FlightRefusal]:
+    """Each reason why a flight would not begin that is in a file, or a folder, of the configuration's camera."""
+    return _refused(_file_steps(config))
+
+
+def _refused(steps: Iterable[tuple[str, Callable[[], object]]]) -> Iterator[FlightRefusal]:
+    told = set()
+    for kind, step in steps:
         try:
             step()
         except UpwashError as error:
-            yield FlightRefusal(kind, error)
+            if str(error) not in told:  # a camera opens its calibration too
+                yield FlightRefusal(kind, error)
+            told.add(str(error))
 
 
 def _steps(config: DroneConfig, *, valid_now: bool) -> Iterator[tuple[str, Callable[[], object]]]:
@@ -61,16 +74,31 @@ def _steps(config: DroneConfig, *, valid_now: bool) -> Iterator[tuple[str, Calla
         yield "no-address", functools.partial(require_address, server)
         yield "no-keys", functools.partial(require_certificates, server, config)
     yield "certificate", functools.partial(drone_credentials, config, valid_now=valid_now)
-    if needs_camera(config):
+    yield from _file_steps(config)
+    if not _is_of_files(config.camera) and needs_camera(config):
         yield "no-camera", functools.partial(camera_without_device, config.camera)
-    if config.camera.terrain is not None and config.mission.home is not None:
-        yield "no-terrain", functools.partial(_terrain, config)
     if config.network.kind == "networkmanager":
         yield "extra", functools.partial(_require, "network", "upwash.real.network.network")
     if config.user != UserConfig():
         yield "handover", functools.partial(_recipients, config.user)
     if config.metrics is not None:
         yield "extra", functools.partial(_require, "metrics", "upwash.metrics.exposition")
+
+
+def _file_steps(config: DroneConfig) -> Iterator[tuple[str, Callable[[], object]]]:
+    camera = config.camera
+    if camera.calibration is not None:
+        yield "no-calibration", functools.partial(lens_of, camera)
+    if camera.terrain is not None and config.mission.home is not None:
+        yield "no-terrain", functools.partial(_terrain, config)
+    if camera.keep is not None:
+        yield "no-folder", functools.partial(require_room_for, camera.keep)
+    if _is_of_files(camera):
+        yield "no-camera", functools.partial(camera_without_device, camera)
+
+
+def _is_of_files(camera: CameraConfig) -> bool:
+    return camera.folder is not None or camera.bag is not None
 
 
 def _terrain(config: DroneConfig) -> None:

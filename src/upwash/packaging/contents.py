@@ -21,12 +21,14 @@ from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
 from upwash.errors import UsageError
+from upwash.packaging.private_keys import private_key_in
 from upwash.support.input_files import with_data
 from upwash.support.loading import extra
 from upwash.support.text import printable
 
 _MOST_FILES = 100_000
 _MOST_BYTES = 32 * 2**30
+_MOST_NAMED = 5
 _LEFT_OUT = {"__pycache__", "tests"}
 
 
@@ -211,7 +213,7 @@ def require_packable(source: Path) -> None:
     """Raises UsageError if a file or folder, or its contents, cannot be put into an image."""
     if not source.exists():
         raise UsageError(f"{source}: no such file: check the path")
-    size, whole = 0, source.resolve()
+    size, whole, keys = 0, source.resolve(), []
     for files, path in enumerate(chain([whole], _below(whole))):
         if path.is_symlink() and (path.is_dir() or not path.resolve().is_relative_to(whole)):
             raise UsageError(
@@ -223,6 +225,14 @@ def require_packable(source: Path) -> None:
                 f"{source} has more than {_MOST_FILES} files or {_MOST_BYTES // 2**30} GiB: "
                 "name a folder that has only what the service needs"
             )
+        if path.is_file() and (kind := private_key_in(path)):
+            keys.append(f"{path} is {kind}")
+    if keys:
+        more = f", and {len(keys) - _MOST_NAMED} more" if len(keys) > _MOST_NAMED else ""
+        raise UsageError(
+            f"{'; '.join(keys[:_MOST_NAMED])}{more}: everybody who gets the image would have the key. Leave it out: "
+            "pack only the files that the service needs, and let the service read a key where it runs"
+        )
 
 
 def require_neighbours(program: Path, beside: Iterable[Path]) -> None:

@@ -18,7 +18,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import IO, Literal
 
-from upwash.errors import UpwashError
+from upwash.errors import UpwashError, UsageError
 from upwash.missions.bundled import LoadedService
 from upwash.packaging.base import ENVIRONMENT, Base, lay_base, lay_init
 from upwash.packaging.contents import (
@@ -73,6 +73,9 @@ def package(recipe: Recipe, folder: Path, *, report: Callable[[str], None]) -> P
 
 
 def _package(recipe: Recipe, folder: Path, report: Callable[[str], None]) -> Path:
+    for path in recipe.beside:
+        if folder.resolve().is_relative_to(path.resolve()):
+            raise UsageError(f"{folder} is in {path}, which is packed: name another folder for the image")
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="upwash-image-", dir=folder) as scratch:
         root = Path(scratch) / "root"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import itertools
+import math
 
 from upwash.plans.course import make_plan
 from upwash.plans.foreign import WANTED
@@ -18,6 +19,7 @@ from upwash.plans.items import (
     home_at,
 )
 from upwash.plans.plan import FlightPlan, PlanNotices
+from upwash.support.text import number_of
 
 HEADER = "QGC WPL"
 _VERSION = "110"
@@ -119,6 +121,6 @@ def _whole(line: int, field: str) -> int:
 
 def _real(line: int, field: str) -> float:
     try:
-        return float(field)
+        return math.nan if field.lower() == "nan" else number_of(field)
     except ValueError:
         raise PlanRefusal(f"line {line}", f'expected a number, found "{field[:40]}": {_SAVED_ANEW}') from None

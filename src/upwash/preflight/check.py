@@ -14,7 +14,7 @@ from upwash.config import (
     DroneConfig,
     coverage_of,
     drone_config,
-    plan_notices,
+    file_notices,
     read_document,
     server_areas,
     usable_s,
@@ -143,7 +143,7 @@ def check(
             *(answer_concerns(plan.config, answers) if answers is not None else ()),
             *_refusals(plan.config, alone),
         ),
-        notices=tuple(plan_notices(plan.config)),
+        notices=tuple(file_notices(plan.config)),
         demanding_share=UNSET if (share := demanding_share(plan.config)) is None else share,
         with_acts=acts or UNSET,
         speed=check_speed(config, speed_why) or UNSET,
@@ -185,16 +185,20 @@ def beliefs(config: DroneConfig, run: Run) -> Iterator[Belief]:
 
 def _refusals(config: DroneConfig, alone: Run) -> Iterator[PreflightWarning]:
     """What `upwash fly` would refuse, and failures of the camera and the services in flight."""
-    if not is_for_flight(config):
+    camera, is_flown = config.camera, is_for_flight(config)
+    named = (camera.folder, camera.bag, camera.calibration, camera.terrain, camera.keep)
+    if not is_flown and not any(named):
         return
     # these import the whole flight program
     from upwash.launch.cameras import NO_CAMERA, Look, look, needs_camera
-    from upwash.launch.readiness import expiry_trouble, refusals
+    from upwash.launch.readiness import expiry_trouble, file_refusals, refusals
     from upwash.launch.survey import services_in_trouble
 
-    refused = list(refusals(config))
+    refused = list(refusals(config) if is_flown else file_refusals(config))
     for refusal in refused:
         yield PreflightWarning(refusal.kind, str(refusal.error))
+    if not is_flown:
+        return
     if trouble := expiry_trouble(config):
         yield PreflightWarning("certificate-ends", trouble)
     if not needs_camera(config) and any(isinstance(event, schema.PhotoTaken) for event in alone.events):

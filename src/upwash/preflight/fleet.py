@@ -17,8 +17,8 @@ from upwash.config import (
     DroneConfig,
     coverage_of,
     drone_config,
+    file_notices,
     fleet_of,
-    plan_notices,
     server_areas,
     waypoints,
 )
@@ -128,7 +128,7 @@ def check_fleet(document: Document, file: Path, *, seeds: int, workers: int | No
         config=str(file),
         drones=tuple(_forecast(drone, flown) for drone in fleet_of(config)),
         servers=tuple(_asked(server.name, flown[AS_CONFIGURED]) for server in config.servers),
-        notices=tuple(plan_notices(config)),
+        notices=tuple(file_notices(config)),
     )
 
 

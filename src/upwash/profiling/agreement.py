@@ -8,6 +8,7 @@ from pathlib import Path
 from upwash.errors import UsageError
 from upwash.services.detection import Box, Detection
 from upwash.support.input_files import read_named_text
+from upwash.support.text import number_of
 
 HIT_OVERLAP = 0.5
 _CLASSES = "classes.txt"
@@ -87,8 +88,8 @@ def _boxes(file: Path, names: Sequence[str], size_px: tuple[int, int]) -> Iterat
     for number, line in enumerate(read_named_text(file, most_bytes=_MOST_BYTES).splitlines(), start=1):
         try:
             index, *shares = line.split()
-            x, y, width, height = (float(share) for share in shares)
-            label = dict(enumerate(names))[int(index)].strip()
+            x, y, width, height = map(number_of, shares)
+            label = dict(enumerate(names))[int(number_of(index))].strip()
         except (ValueError, KeyError):
             raise UsageError(
                 f"{file}, line {number}: {line[:60]!r} is no box: write `class x y width height`, a number of a line "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -20,9 +21,8 @@ from upwash.support.text import escaped
 
 _SIDES = 64  # of the polygon that stands for a range
 _DIGITS = 7  # of a degree: about a centimetre
-_FORMULAS = tuple(
-    "=+-@\uff1d\uff0b\uff0d\uff20"
-)  # what formulas begin with: Excel takes full-width signs too
+# Excel takes full-width signs too, and programs of most of Europe's languages split a line at each semicolon.
+_FORMULA = re.compile("(^|[;|])([\\s\"']*[=+\\-@\uff1d\uff0b\uff0d\uff20])")
 
 
 class Exported(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -62,10 +62,10 @@ def _exported(record: Record) -> Exported:
 
 
 def cell(value: object) -> object:
-    """A value as a cell of CSV: a text is on one line, and no spreadsheet program takes it for a formula."""
+    """A value as a cell of CSV: a text is on one line, and no part of it a formula of a spreadsheet program."""
     if not isinstance(value, str):
         return value
-    return f"'{escaped(value)}" if value.startswith(_FORMULAS) else escaped(value)
+    return _FORMULA.sub(r"\1'\2", escaped(value))
 
 
 def write_csv(records: Sequence[Record]) -> str:

@@ -12,7 +12,7 @@ from upwash.support.text import printable
 _JPEG_QUALITY = 95
 _JPEG, _PNG = b"\xff\xd8\xff", b"\x89PNG"
 # Of `sensor_msgs/image_encodings`: the bytes of a channel, the channels, and the conversion to OpenCV's order.
-_ENCODINGS: dict[str, tuple[int, int, str]] = {
+ENCODINGS: dict[str, tuple[int, int, str]] = {
     "rgb8": (1, 3, "RGB2BGR"),
     "bgr8": (1, 3, ""),
     "8UC3": (1, 3, ""),
@@ -60,12 +60,12 @@ def jpeg_of_message(topic: str, message: Any) -> bytes:
 
 
 def _encoded(image: Any) -> bytes:
-    if image.encoding not in _ENCODINGS:
+    if image.encoding not in ENCODINGS:
         raise NotAPhoto(
             f"images are of the encoding {printable(image.encoding, 60)!r}, which is none of "
-            f"{', '.join(_ENCODINGS)}: have the camera's driver convert them"
+            f"{', '.join(ENCODINGS)}: have the camera's driver convert them"
         )
-    size, channels, conversion = _ENCODINGS[image.encoding]
+    size, channels, conversion = ENCODINGS[image.encoding]
     high, wide, step, data = image.height, image.width, image.step, image.data
     least = wide * channels * size
     if not 0 < high * wide <= MAX_PHOTO_PIXELS or step < least or len(data) < step * high:

@@ -18,7 +18,7 @@ from upwash.config.traces import Stamp, Trace, read_goodput_trace, stamp_of
 from upwash.core.geo import Position
 from upwash.errors import UsageError
 from upwash.support.input_files import read_file, text_of
-from upwash.support.text import counted, printable
+from upwash.support.text import counted, named_twice, number_of, printable
 
 _MOST_BYTES = 10_000_000
 _LONGEST_PROBLEM = 200  # characters
@@ -162,12 +162,14 @@ def _rows(text: str) -> list[tuple[float, float]]:
     """Distance in metres and goodput in bit/s of each row, by the column names of the first."""
     rows = csv.reader(line for line in text.splitlines() if line and not line.startswith("#"))
     names = next(rows, [])
+    if twice := named_twice(names):
+        raise ValueError(f"two columns are named {twice}")
     distance, goodput = names.index("distance_m"), names.index("goodput_mbit_s")
     table = []
     for row in rows:
         if len(row) <= max(distance, goodput):
             raise ValueError(f"a row of {counted(len(row), 'column')}: {','.join(row)}")
-        table.append((float(row[distance]), 1e6 * float(row[goodput])))
+        table.append((number_of(row[distance]), 1e6 * number_of(row[goodput])))
     return table
 
 

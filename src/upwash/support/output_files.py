@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from upwash.errors import NotWritten
+from upwash.support.spared import require_spared
 
 _NO_FILES = (("/", "dev"), ("/", "proc"))  # the first parts of paths that are written to as they are
 
@@ -18,8 +19,10 @@ _NO_FILES = (("/", "dev"), ("/", "proc"))  # the first parts of paths that are w
 def write_file(file: Path, content: bytes | Iterable[bytes], *, mode: int = 0o666) -> None:
     """Write the file, and make its folder; raises NotWritten, and leaves a former file unchanged.
 
-    The content may come in pieces. A new file has that mode, less the umask; a former file keeps its mode.
+    The content may come in pieces. A new file has that mode, less the umask; a former file keeps its mode. Raises
+    UsageError for an input of the command that runs.
     """
+    require_spared(file)
     content = (content,) if isinstance(content, bytes) else content
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shlex
 import signal
 from collections.abc import Sequence
 
 LONGEST_TEXT = 1000
+_NUMBER = re.compile(r"[ \t]*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?[ \t]*", re.ASCII)
+_LONGEST_NUMBER = 60  # characters of what is none
 _PLURALS = {
     "person": "people",
     "sheep": "sheep",
@@ -58,6 +61,23 @@ def worded(error: BaseException) -> str:
 def words_of(text: str) -> str:
     """The printed characters of the text on one line, with blanks for all others, such as colours."""
     return "".join(letter if letter.isprintable() else " " for letter in text).strip()
+
+
+def number_of(text: str) -> float:
+    """The finite decimal number that is written there, in ASCII and without separators; raises ValueError."""
+    if not _NUMBER.fullmatch(text) or not math.isfinite(number := float(text)):
+        raise ValueError(f"{printable(text, _LONGEST_NUMBER)!r} is no finite number")
+    return number
+
+
+def named_twice(names: Sequence[str]) -> str:
+    """A name that columns of a table share, "" without one; columns may have none."""
+    seen: set[str] = set()
+    for name in names:
+        if name and name in seen:
+            return name
+        seen.add(name)
+    return ""
 
 
 def signal_name(number: int) -> str:

@@ -194,12 +194,14 @@ def _described(note: Note | None) -> str:
 
 
 def _read(csv_file: Path, columns: Sequence[str], *, settings: int) -> list[CampaignRow]:
-    with csv_file.open(newline="", encoding="utf-8") as lines:
-        rows = list(csv.reader(lines))[1:]
     try:
+        with csv_file.open(newline="", encoding="utf-8") as lines:
+            rows = list(csv.reader(lines))[1:]
         return [_row(cells, columns, settings) for cells in rows]
-    except (msgspec.ValidationError, ValueError) as error:
-        raise UsageError(f"{csv_file} was changed by hand: {error}; remove it and begin again") from None
+    except (msgspec.ValidationError, ValueError, csv.Error) as error:
+        raise UsageError(
+            f"{csv_file} was changed by hand, or damaged: {error}; remove it and begin again"
+        ) from None
 
 
 def _row(cells: Sequence[str], columns: Sequence[str], settings: int) -> CampaignRow:

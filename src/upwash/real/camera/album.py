@@ -19,6 +19,15 @@ _GEO = "geo.txt"
 _LONGEST_NAME = 80  # characters
 
 
+def require_room_for(folder: Path) -> None:
+    """Raise UsageError where the folder is none, and cannot be made."""
+    folder = Path(os.path.abspath(folder))  # noqa: PTH100 - links stay, as `..` in the path is the user's
+    there = next(each for each in (folder, *folder.parents) if os.path.lexists(each))
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        why = "is no folder" if not there.is_dir() else "is not for this user to write to"
+        raise UsageError(f"camera.keep: {folder} cannot be made, as {there} {why}: name another folder")
+
+
 class FolderAlbum:
     """An Album in a folder: a JPEG a photo, and their places and angles in `geo.txt`, as OpenDroneMap reads it.
 
@@ -63,10 +72,12 @@ class FolderAlbum:
     def _append(self, line: str) -> None:
         file = self._folder / _GEO
         try:
-            descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+            descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
             try:
-                begins = os.fstat(descriptor).st_size == 0
-                append_whole(descriptor, ((_HEADER if begins else "") + line).encode())
+                size_bytes = os.fstat(descriptor).st_size
+                is_torn = size_bytes > 0 and os.pread(descriptor, 1, size_bytes - 1) != b"\n"
+                begins = _HEADER if not size_bytes else "\n" if is_torn else ""
+                append_whole(descriptor, (begins + line).encode())
             finally:
                 os.close(descriptor)
         except OSError as error:

@@ -6,20 +6,23 @@ import asyncio
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-from rosbags.rosbag2 import Reader, ReaderError
+from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from upwash.core.camera.lens import Lens
 from upwash.core.geo import Position
-from upwash.errors import CameraError, UsageError
+from upwash.errors import CameraError, UpwashError, UsageError
 from upwash.ports import Photo
 from upwash.services.ros_image import jpeg_of_message
 from upwash.support.background import in_thread
+from upwash.support.text import printable, worded, words_of
 
 _TYPES = get_typestore(Stores.ROS2_HUMBLE)
 _IMAGES = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
+_READ_S = 20.0
+_LONGEST_REASON = 300  # characters
+_REMEDY = "copy the bag again, or mend it with `ros2 bag reindex` or `mcap recover`"
 
 
 class BagCamera:
@@ -30,44 +33,67 @@ class BagCamera:
 
     def __init__(self, bag: Path, topic: str | None, *, photo_s: float, lens: Lens | None) -> None:
         self._bag, self._photo_s, self._lens = bag, photo_s, lens
-        with _reading(bag) as reader:
-            topics = sorted({found.topic for found in reader.connections if found.msgtype in _IMAGES})
+        try:
+            with _reading(), Reader(bag) as reader:
+                topics = sorted({found.topic for found in reader.connections if found.msgtype in _IMAGES})
+        except _Unreadable as error:
+            raise UsageError(
+                f"camera.bag: {bag} cannot be read as a ROS 2 bag: {error}; {_REMEDY}"
+            ) from error
         wanted = topics if topic is None else [name for name in topics if name == topic]
         if not topics:
             raise UsageError(f"camera.bag: {bag} has no images, of {' or '.join(_IMAGES)}")
         if len(wanted) != 1:
-            raise UsageError(
-                f"camera.bag: {bag} has images of {', '.join(topics)}: name one of them as camera.topic"
-            )
+            names = printable(", ".join(topics), _LONGEST_REASON)
+            raise UsageError(f"camera.bag: {bag} has images of {names}: name one of them as camera.topic")
         self._topic = wanted[0]
-        self._images: Iterator[tuple[int, Any]] = iter(())
+        self._images: Iterator[tuple[str, int, bytes]] = iter(())
 
     async def take_photo(self, at: Position) -> Photo:
-        """Returns the next image after `photo_s` seconds; raises CameraError for an image that is no photo."""
+        """Returns the next image after `photo_s` seconds; raises CameraError if it is no photo, or cannot be read.
+
+        An image that is damaged by itself is left out of those that follow.
+        """
         await asyncio.sleep(self._photo_s)
         captured_s = asyncio.get_running_loop().time()
-        time_ns, jpeg = await in_thread(self._next, name=f"reading {self._bag.name}")
+        try:
+            reading = in_thread(self._next, name=f"reading {self._bag.name}")
+            time_ns, jpeg = await asyncio.wait_for(reading, _READ_S)
+        except TimeoutError:
+            raise CameraError(
+                str(self._bag), f"it could not be read within {_READ_S:g} s; {_REMEDY}"
+            ) from None
+        except _Unreadable as error:
+            raise CameraError(str(self._bag), f"{self._topic} cannot be read: {error}; {_REMEDY}") from error
         return Photo(jpeg, captured_s, source=f"{self._topic} at {time_ns / 1e9:.3f}", lens=self._lens)
 
     def _next(self) -> tuple[int, bytes]:
-        for again in (True, False):
-            for time_ns, message in self._images:
-                return time_ns, jpeg_of_message(self._topic, message)
-            if again:
-                self._images = self._read()
+        with _reading():
+            for again in (True, False):
+                for kind, time_ns, raw in self._images:
+                    return time_ns, jpeg_of_message(self._topic, _TYPES.deserialize_cdr(raw, kind))
+                if again:
+                    self._images = self._read()
         raise CameraError(str(self._bag), f"{self._topic} has no more images that can be read")
 
-    def _read(self) -> Iterator[tuple[int, Any]]:
-        with _reading(self._bag) as reader:
+    def _read(self) -> Iterator[tuple[str, int, bytes]]:
+        """The type, the time and the bytes of each image."""
+        with Reader(self._bag) as reader:
             chosen = [found for found in reader.connections if found.topic == self._topic]
             for connection, time_ns, raw in reader.messages(connections=chosen):
-                yield time_ns, _TYPES.deserialize_cdr(raw, connection.msgtype)
+                yield connection.msgtype, time_ns, raw
+
+
+class _Unreadable(Exception):
+    """Why a bag cannot be read."""
 
 
 @contextlib.contextmanager
-def _reading(bag: Path) -> Iterator[Reader]:
+def _reading() -> Iterator[None]:
+    """Any error that the bag's libraries raise for a damaged bag is raised as _Unreadable."""
     try:
-        with Reader(bag) as reader:
-            yield reader
-    except (ReaderError, OSError, ValueError, KeyError) as error:
-        raise UsageError(f"camera.bag: {bag} cannot be read as a ROS 2 bag: {error}") from error
+        yield
+    except UpwashError:
+        raise
+    except Exception as error:
+        raise _Unreadable(printable(words_of(worded(error)), _LONGEST_REASON)) from error

@@ -19,8 +19,9 @@ _LARGEST_BYTES = 1_000_000
 _HEADER = "%YAML:1.0\n---\n"  # OpenCV asks for it, and ROS leaves it out
 _DISTORTIONS = 5  # k1, k2, p1, p2, k3
 _LEAST_FOV_DEG, _MOST_FOV_DEG = 1.0, 170.0
-_OPENING = re.compile(r"[\[{]|<(?=[A-Za-z_])")
+_OPENING = re.compile(r"[\[{:]|-(?=\s)|<(?=[A-Za-z_])")
 _MOST_OPENED = 5000  # a calibration has 10 to 100
+_MOST_NUMBERS = 100  # of a matrix
 _CALIBRATED = 0.003  # of the focal length
 
 
@@ -34,7 +35,8 @@ def read_calibration(file: Path) -> Lens:
     try:
         content = read_file(file, most_bytes=_LARGEST_BYTES)
     except (OSError, ValueError) as error:
-        raise UsageError(f"camera.calibration: {file} cannot be read: {why_unreadable(error)}") from error
+        why = f"cannot be read: {why_unreadable(error)}; check the path"
+        raise UsageError(f"camera.calibration: {file} {why}") from error
     try:
         text = text_of(content)
     except UnicodeDecodeError as error:
@@ -43,7 +45,9 @@ def read_calibration(file: Path) -> Lens:
         text = _HEADER + text
     try:
         if sum(1 for _ in _OPENING.finditer(text)) > _MOST_OPENED:  # OpenCV crashes where it nests deeply
-            raise ValueError(f"it has more than {_MOST_OPENED:,} brackets, braces or elements")
+            raise ValueError(
+                f"it has more than {_MOST_OPENED:,} brackets, braces, colons, dashes or elements"
+            )
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         return _lens(storage)
     except (cv2.error, SystemError, ValueError) as error:
@@ -78,6 +82,8 @@ def _lens(storage: cv2.FileStorage) -> Lens:
 def _numbers(node: cv2.FileNode) -> list[float]:
     """The numbers of a matrix or a list."""
     data = node.getNode("data") if node.isMap() else node
+    if data.isSeq() and data.size() > _MOST_NUMBERS:
+        raise ValueError(f"it has a list of more than {_MOST_NUMBERS} numbers")
     return [_number(data.at(index)) for index in range(data.size())] if data.isSeq() else []
 
 

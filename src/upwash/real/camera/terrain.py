@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import stat
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from upwash.core.camera.georeference import Ground
@@ -17,6 +17,19 @@ from upwash.support.text import printable, words_of
 _ERROR_M = 1.0  # of a grid, beside its roughness
 _LONGEST_REASON = 300  # characters
 _UNKNOWN_M = 5.0  # of level ground where the grid has none
+
+
+class _Unreadable(Exception):
+    """Why a grid cannot be read."""
+
+
+@contextlib.contextmanager
+def _reading() -> Iterator[None]:
+    """Any error that GDAL and its libraries raise for a damaged grid is raised as _Unreadable."""
+    try:
+        yield
+    except Exception as error:
+        raise _Unreadable(printable(words_of(str(error) or type(error).__name__), _LONGEST_REASON)) from error
 
 
 def _require_file(file: Path) -> None:
@@ -36,16 +49,14 @@ class Terrain:
     def __init__(self, file: Path, home: GeoPosition) -> None:
         with extra("terrain"):
             import rasterio
-            import rasterio.errors
-            from rasterio._err import CPLE_BaseError
             from rasterio.warp import transform
-        self._transform, self._unreadable = transform, (rasterio.errors.RasterioError, CPLE_BaseError)
+        self._transform = transform
         _require_file(file)
         try:
-            self._grid = rasterio.open(file)
-        except rasterio.errors.RasterioError as error:
-            why = printable(words_of(str(error)), _LONGEST_REASON)
-            raise UsageError(f"camera.terrain: {file} is no grid that GDAL reads: {why}") from error
+            with _reading():
+                self._grid = rasterio.open(file)
+        except _Unreadable as error:
+            raise UsageError(f"camera.terrain: {file} is no grid that GDAL reads: {error}") from error
         self._frame = LocalFrame(home)
         try:
             self._home_m = self._altitude_of_home(file)
@@ -58,10 +69,9 @@ class Terrain:
             raise UsageError(f"camera.terrain: {file} does not say where on the Earth it lies (its CRS)")
         try:
             (home_m,) = self._altitudes([Position(0.0, 0.0)])
-        except self._unreadable as error:
-            why = printable(words_of(str(error)), _LONGEST_REASON)
+        except _Unreadable as error:
             raise UsageError(
-                f"camera.terrain: {file} cannot be read at mission.home ({why}): copy it again, or name another"
+                f"camera.terrain: {file} cannot be read at mission.home ({error}): copy it again, or name another"
             ) from error
         if home_m is None:
             raise UsageError(f"camera.terrain: {file} does not reach mission.home: name a grid that does")
@@ -74,7 +84,7 @@ class Terrain:
         places = [Position(at.east_m + reach_m * east, at.north_m + reach_m * north) for east, north in steps]
         try:
             altitudes = [altitude for altitude in self._altitudes(places) if altitude is not None]
-        except self._unreadable:
+        except _Unreadable:
             altitudes = []
         if len(altitudes) < len(steps):
             return Ground(
@@ -100,20 +110,21 @@ class Terrain:
         )
 
     def _altitudes(self, places: Sequence[Position]) -> list[float | None]:
-        """The altitude of each place above the sea; None where the grid has none."""
+        """The altitude of each place above the sea; None where the grid has none; raises _Unreadable."""
         import numpy as np
 
         geo = [self._frame.geo(place) for place in places]
-        xs, ys = self._transform(
-            "EPSG:4326",
-            self._grid.crs,
-            [place.longitude_deg for place in geo],
-            [place.latitude_deg for place in geo],
-        )
-        return [
-            float(sample[0]) if not np.ma.getmaskarray(sample)[0] and math.isfinite(sample[0]) else None
-            for sample in self._grid.sample(zip(xs, ys, strict=True), indexes=1, masked=True)
-        ]
+        with _reading(), np.errstate(all="ignore"):
+            xs, ys = self._transform(
+                "EPSG:4326",
+                self._grid.crs,
+                [place.longitude_deg for place in geo],
+                [place.latitude_deg for place in geo],
+            )
+            return [
+                float(sample[0]) if not np.ma.getmaskarray(sample)[0] and math.isfinite(sample[0]) else None
+                for sample in self._grid.sample(zip(xs, ys, strict=True), indexes=1, masked=True)
+            ]
 
     def close(self) -> None:
         """Closes the file."""

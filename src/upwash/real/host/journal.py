@@ -24,6 +24,7 @@ from upwash.support.output_files import append_whole
 from upwash.support.software import software
 
 _MOST_UNWRITTEN_BYTES = 2**25  # in memory: some hours of a flight
+_LOOK_BYTES = 100
 _TRY_AGAIN_S = 1.0  # to write to a full disk
 _log = logging.getLogger("upwash.journal")
 Watcher = Callable[[Event], None]
@@ -186,6 +187,8 @@ class _LineFile:
         try:
             _lock(self._file, path)
             self._size_bytes = os.fstat(self._file).st_size
+            if self._size_bytes and not event_log.may_begin_a_log(os.pread(self._file, _LOOK_BYTES, 0)):
+                raise UsageError(f"{path} is no event log, and stays as it is: name another file for the log")
             whole_bytes = self._end_of_last_line()
             if cuts_torn_line:
                 os.ftruncate(self._file, whole_bytes)

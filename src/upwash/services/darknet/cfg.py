@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from upwash.errors import ModelError
 from upwash.support.input_files import text_of
-from upwash.support.text import printable
+from upwash.support.text import number_of, printable
 
 T = TypeVar("T")
 
@@ -60,7 +60,7 @@ class Section:
         """Pairs of width and height, all above 0."""
 
         def read(text: str) -> tuple[tuple[float, float], ...]:
-            numbers = [float(number) for number in _listed(text.rstrip(","))]
+            numbers = [number_of(number) for number in _listed(text.rstrip(","))]
             if not all(0 < number < 1e6 for number in numbers):
                 raise ValueError
             return tuple(zip(numbers[::2], numbers[1::2], strict=True))

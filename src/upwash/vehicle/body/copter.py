@@ -14,6 +14,7 @@ from typing import ClassVar
 from upwash.core.geo import GeoPosition, LocalFrame, Position, Velocity, ground_distance_m
 from upwash.errors import UsageError
 from upwash.mavlink.version import Version
+from upwash.support.text import number_of
 from upwash.vehicle.body.parameters import ParameterTable
 
 HOME = Position(0.0, 0.0)
@@ -266,7 +267,7 @@ def read_fault(text: str) -> VehicleFault:
     name, _, times = text.partition(":")
     begin, _, end = times.partition("-")
     try:
-        fault = VehicleFault(FaultKind(name), float(begin or 0), float(end or math.inf))
+        fault = VehicleFault(FaultKind(name), number_of(begin or "0"), number_of(end) if end else math.inf)
     except ValueError:
         fault = None
     if fault is None or not 0 <= fault.begins_s < fault.ends_s:

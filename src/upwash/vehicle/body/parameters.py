@@ -17,6 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.errors import UsageError
 from upwash.mavlink.px4 import bytes_of_float, float_of_bytes
+from upwash.support.text import number_of
 
 _REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
 _LIMITS = {
@@ -101,7 +102,7 @@ def read_setting(text: str) -> tuple[str, float]:
     """The parameter and the value in `NAME=VALUE`; UsageError for any other text."""
     name, _, value = text.partition("=")
     try:
-        return name, float(value)
+        return name, number_of(value)
     except ValueError:
         raise UsageError(
             f'"{text}" sets no parameter; write its name and value, such as FENCE_RADIUS=60'
