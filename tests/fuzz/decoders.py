@@ -59,10 +59,10 @@ from upwash.rpc.protocol import (
 )
 from upwash.rpc.service import ServiceFault, service, spec_of
 from upwash.services import Detector
+from upwash.services.class_names import parse_names
 from upwash.services.darknet.heads import HEADS_METADATA, Head, encode_heads
 from upwash.services.darknet.layers import read_network
 from upwash.services.darknet.weights import WeightsFile
-from upwash.services.heads import parse_names
 from upwash.services.inference import ModelFiles, open_inference
 from upwash.services.photo import NotAPhoto, read_photo
 from upwash.sim.radio import read_goodput
