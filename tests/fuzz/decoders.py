@@ -317,7 +317,9 @@ def model_that_detects() -> bytes:
 
     picture = helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, 3, 32, 32])
     boxes = helper.make_tensor_value_info("output0", TensorProto.FLOAT, [1, 7, 21])
-    numbers = helper.make_tensor("numbers", TensorProto.FLOAT, [1, 7, 21], [*range(84), *[0.5] * 63])
+    numbers = helper.make_tensor(
+        "numbers", TensorProto.FLOAT, [1, 7, 21], [*range(84), *(score / 63 for score in range(63))]
+    )
     node = helper.make_node("Identity", ["numbers"], ["output0"])
     graph = helper.make_graph([node], "g", [picture], [boxes], [numbers])
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
