@@ -73,10 +73,10 @@ from upwash.rpc.protocol import (
 )
 from upwash.rpc.service import ServiceFault, service, spec_of
 from upwash.services import Detector
+from upwash.services.class_names import parse_names
 from upwash.services.darknet.heads import HEADS_METADATA, Head, encode_heads
 from upwash.services.darknet.layers import read_network
 from upwash.services.darknet.weights import WeightsFile
-from upwash.services.heads import parse_names
 from upwash.services.inference import ModelFiles, open_inference
 from upwash.services.photo import NotAPhoto, read_photo
 from upwash.services.ros_image import ENCODINGS, jpeg_of_message
@@ -338,7 +338,9 @@ def model_that_detects() -> bytes:
 
     picture = helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, 3, 32, 32])
     boxes = helper.make_tensor_value_info("output0", TensorProto.FLOAT, [1, 7, 21])
-    numbers = helper.make_tensor("numbers", TensorProto.FLOAT, [1, 7, 21], [*range(84), *[0.5] * 63])
+    numbers = helper.make_tensor(
+        "numbers", TensorProto.FLOAT, [1, 7, 21], [*range(84), *(score / 63 for score in range(63))]
+    )
     node = helper.make_node("Identity", ["numbers"], ["output0"])
     graph = helper.make_graph([node], "g", [picture], [boxes], [numbers])
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)

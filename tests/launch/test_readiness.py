@@ -9,11 +9,13 @@ import pytest
 
 from upwash.config import DroneConfig, drone_config
 from upwash.errors import UpwashError
+from upwash.launch.heard import heard
 from upwash.launch.readiness import refusals, require_ready
 from upwash.launch.survey import services_in_trouble
 
 SERVICES = """
 from upwash import service
+from upwash.services import Detection
 
 def hover(drone):
     drone.autopilot.hover(1.0)
@@ -33,6 +35,17 @@ class Unsound:
 class Shortsighted:
     def look(self, photo: bytes) -> int:
         raise ValueError("no such layer")
+
+@service
+class Spotter:
+    def __init__(self) -> None:
+        import sys
+        print("head of mine", file=sys.stderr, flush=True)
+        print("warning: scores are gone", file=sys.stderr, flush=True)
+
+    def look(self, photo: bytes) -> list[Detection]:
+        box = Detection(left_px=0, top_px=0, width_px=1, height_px=1, label="a", score=0.5)
+        return [box] * (len(photo) - 1)
 
 @service
 class Late:
@@ -108,6 +121,17 @@ async def test_a_service_that_fails_on_a_photo_of_the_camera_is_named(tmp_path: 
     services = [{"name": "shortsighted", "program": "services.py:Shortsighted", "local_call_s": 1.0}]
     (error,) = await services_in_trouble(configured(tmp_path, service=services), {"1.jpg": b"photo"})
     assert "shortsighted.look failed on 1.jpg" in str(error) and "no such layer" in str(error)
+
+
+async def test_what_services_print_and_find_in_photos_is_told(tmp_path: Path) -> None:
+    services = [{"name": "spotter", "program": "services.py:Spotter", "local_call_s": 1.0}]
+    told: list[str] = []
+    with heard() as said:
+        photos = {"1.jpg": b"1", "2.jpg": b"22"}
+        assert not await services_in_trouble(configured(tmp_path, service=services), photos, told.append)
+    assert told == ["spotter.look: 1 box in 1 of 2 photos, scores 0.50 to 0.50, median 0.50"]
+    assert said.lines == ["spotter: head of mine"]
+    assert said.warnings == ["spotter: scores are gone"]
 
 
 async def test_a_service_that_starts_too_slowly_is_named_with_the_key_that_says_so(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from tests.services.darknet_models import small, write_labels, write_model
 
 from upwash.errors import ModelError
 from upwash.services import Detection, Detector, ModelFiles
-from upwash.services.heads import parse_names
+from upwash.services.class_names import parse_names
 
 Values = NDArray[Any]
 SIDE_PX, CONFIDENCE = 160, 0.5
@@ -35,7 +35,12 @@ def export(
     """A network with these outputs for any picture; boxes beside labels are scaled by its second input."""
     kind = TensorProto.FLOAT16 if outputs[0].dtype == np.float16 else TensorProto.FLOAT
     inputs = [helper.make_tensor_value_info("images", kind, [1, 3, side, side])]
-    names = [("output0",), ("pred_boxes", "logits"), ("output0", "c1", "c2")][len(outputs) - 1]
+    names = [
+        ("output0",),
+        ("pred_boxes", "logits"),
+        ("output0", "c1", "c2"),
+        ("det_boxes", "det_scores", "det_classes", "num_dets"),
+    ][len(outputs) - 1]
     given = list(outputs)
     nodes = []
     if outputs[0].dtype == np.int64 and len(outputs) == 3:
@@ -92,6 +97,8 @@ def corners(rows: Values) -> Values:
 FEW = boxes(300)
 CLASSES = RNG.integers(0, 3, (300, 1))
 LOGITS = RNG.normal(-1, 2, (300, 3))
+WITH_NONE = np.hstack([LOGITS, RNG.normal(1, 2, (300, 1))])
+SOFTMAX = np.exp(WITH_NONE) / np.exp(WITH_NONE).sum(axis=1, keepdims=True)
 V5 = np.hstack([boxes(3 * CELLS), RNG.uniform(0.5, 1, (3 * CELLS, 1)), shares(3 * CELLS)])
 V8 = np.hstack([boxes(CELLS), shares(CELLS)])
 END = np.hstack([corners(FEW), shares(300, 1), CLASSES])
@@ -108,10 +115,19 @@ FAMILIES = {
     "YOLOv8 turned": [V8],
     "end-to-end": [END],
     "end-to-end of YOLOv7": [np.hstack([np.zeros((300, 1)), END[:, :4], CLASSES, END[:, 4:5]])],
+    "end-to-end in shares": [np.hstack([END[:, :4] / SIDE_PX, END[:, 4:]])],
+    "end-to-end of YOLO-NAS": [np.hstack([np.zeros((300, 1)), END])],
+    "end-to-end in four": [END[:, :4], END[:, 4], CLASSES[:, 0], np.array([300])],  # YOLOv6 and YOLO-NAS
     "DETR": [DETR],
+    "DETR that chooses": [np.hstack([FEW / SIDE_PX, END[:, 4:]])],  # RT-DETR of Ultralytics
+    "DETR with none": [FEW / SIDE_PX, WITH_NONE],  # DETR and YOLOS of transformers
+    "DETR with none, after softmax": [FEW / SIDE_PX, SOFTMAX],
     "DETR in two": [FEW / SIDE_PX, LOGITS],
     "DETR in three": [CLASSES[:, 0], corners(FEW) / SIDE_PX, END[:, 4]],
 }
+
+
+APART = ("DETR in two", "DETR with none", "DETR with none, after softmax")
 
 
 def plainly(family: str, outputs: list[Values]) -> list[Detection]:
@@ -120,12 +136,16 @@ def plainly(family: str, outputs: list[Values]) -> list[Detection]:
     first = outputs[0].astype(float)
     if family == "DETR in three":
         first = np.column_stack([*outputs[1:], outputs[0]])
+    if family == "end-to-end in four":
+        first = np.column_stack(outputs[:3])
+    if family == "end-to-end in shares":
+        first[:, :4] *= SIDE_PX
     if family == "YOLOv8":
         first = first.T
     found = []
     for index, row in enumerate(first):
         score, cls, (left, top, right, bottom) = plain_row(
-            family, outputs[1][index] if family == "DETR in two" else row[4:], row
+            family, outputs[1][index] if family in APART else row[4:], row
         )
         if score <= CONFIDENCE:
             continue
@@ -147,13 +167,22 @@ def plainly(family: str, outputs: list[Values]) -> list[Detection]:
 def plain_row(family: str, values: Values, row: Values) -> tuple[float, int, Values]:
     if family == "end-to-end of YOLOv7":
         return row[6], row[5], row[1:5]
-    if family in ("end-to-end", "DETR in three"):
+    if family == "end-to-end of YOLO-NAS":
+        return row[5], row[6], row[1:5]
+    if family == "DETR in three" or family.startswith("end-to-end"):
         return row[4], row[5], row[:4]
     scores = list(values)
     if family == "YOLOv5 of one class":
         scores = [row[4]]
     elif family.startswith("YOLOv5"):
         scores = list(row[5:] * row[4])
+    elif family == "DETR that chooses":
+        scores = [row[4] if cls == row[5] else 0.0 for cls in range(3)]
+    elif family == "DETR with none, after softmax":
+        scores = list(values[:3])
+    elif family == "DETR with none":
+        powers = [np.exp(float(logit)) for logit in values]
+        scores = [power / sum(powers) for power in powers[:3]]
     elif family == "DETR in two":
         scores = [1 / (1 + np.exp(-float(logit))) for logit in values]
     score = max(scores)
@@ -193,15 +222,34 @@ def rows(found: list[Detection]) -> list[Any]:
     ]
 
 
-@pytest.mark.parametrize("kind", [np.float32, np.float16])
+IN_STEPS = (
+    r"boxes and scores together in steps of 2\.51, as of 8 bits|classes in its output output0 are no whole"
+)
+
+
+def in_8_bits(output: Values) -> Values:
+    """What is left of an output of a network for 640 pixels that was quantised with its head."""
+    step = (640 if output.max() > 20 else float(output.max() - min(0, output.min())) or 1.0) / 255
+    return (np.rint(output / step) * step).astype(np.float32)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float16, np.uint8])
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_family_is_recognised_and_its_boxes_are_those_of_a_plain_decoder(
-    family: str, kind: type[np.floating[Any]], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    family: str, kind: type[Any], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    outputs = [output if output.dtype == int else output.astype(kind) for output in FAMILIES[family]]
-    whole = family == "end-to-end of YOLOv7"
+    outputs = [
+        output if output.dtype == int else in_8_bits(output) if kind == np.uint8 else output.astype(kind)
+        for output in FAMILIES[family]
+    ]
+    whole = family in ("end-to-end of YOLOv7", "end-to-end of YOLO-NAS")
     given = [output if whole or output.ndim == 5 else output[np.newaxis] for output in outputs]
     names, classes = ({"names": "['person']"}, "1 class") if "one class" in family else (NAMES, "3 classes")
+    together = kind == np.uint8 and min(outputs[0].shape) > 4
+    if together and (outputs[0].max() > 20 or family in ("end-to-end in shares", "DETR that chooses")):
+        with pytest.raises(ModelError, match=IN_STEPS):
+            Detector(model=export(tmp_path, *given, metadata=names), threads=1)
+        return
     detector = Detector(model=export(tmp_path, *given, metadata=names), threads=1)
     assert f"light: {family.partition(' ')[0]} head, {classes}, 160 x 160\n" in capfd.readouterr().err
     expected = plainly(family, outputs)
@@ -264,7 +312,9 @@ def test_light_may_be_another_network(tmp_path: Path, capfd: pytest.CaptureFixtu
     detector = Detector(
         model=export(tmp_path, END[np.newaxis].astype(np.float32)), light_model=raw, threads=1
     )
-    assert capfd.readouterr().err == "heavy: end-to-end head, 3 classes, 160 x 160\n"
+    said = capfd.readouterr().err
+    assert said.startswith("heavy: end-to-end head, 3 classes, 160 x 160\nexport.onnx: self-test: ")
+    assert "light" not in said
     assert {each.label for each in detector.process_photo(photo(), "heavy")} == set(LABELS)
     assert {each.label for each in detector.process_photo(photo(), "light", 0.3)} <= {"thing 0", "thing 1"}
 
@@ -290,6 +340,10 @@ def like(*shape: int, fill: float = 0.5) -> Values:
 
 
 NOT_UNDERSTOOD = r"its outputs are not understood \(output0: {}.*docs/detector\.md shows one of 20 lines"
+MASKED = np.hstack([END, RNG.normal(0, 1, (300, 32))])[np.newaxis]
+NONE_OF_SIX = np.hstack([LOGITS, WITH_NONE[:, :3], 9 + LOGITS[:, :1]])
+DETECTS = "export a network of the task detect, or run it in a service of your own"
+ANGLE = r"each box has an angle \(rotated boxes\) beside its scores .*" + DETECTS
 REFUSED = {
     "too few names": (
         [V8.T[np.newaxis, :6]],
@@ -326,10 +380,47 @@ REFUSED = {
     "two pictures": ([like(2, 7, 525)], NOT_UNDERSTOOD.format("2 x 7 x 525 float32")),
     "integers": ([np.zeros((1, 7, 525), np.int64)], NOT_UNDERSTOOD.format("1 x 7 x 525 int64")),
     "cells": ([like(1, 3, 20, 20, 8)], NOT_UNDERSTOOD.format("1 x 3 x 20 x 20 x 8 float32")),
-    "masks": ([like(1, 7, 525), like(1, 32, 40, 40)], r"not understood \(pred_boxes: 1 x 7 x 525 "),
+    "masks": (
+        [like(1, 7, 525), like(1, 32, 40, 40)],
+        r"masks beside boxes \(pred_boxes: 1 x 7 x 525 .*" + DETECTS,
+    ),
+    "masks that are chosen": (
+        [MASKED],
+        "32 numbers .*" + DETECTS,
+    ),
+    "rotated boxes": ([np.vstack([V8.T, RNG.uniform(-0.7, 2, (1, CELLS))])[np.newaxis]], ANGLE),
+    "rotated boxes, with a name more": (
+        [np.vstack([V8.T[:6], RNG.uniform(-0.7, 2, (1, CELLS))])[np.newaxis]],
+        ANGLE,
+    ),
+    "rotated boxes that are chosen": ([np.hstack([END, RNG.uniform(-0.7, 2, (300, 1))])[np.newaxis]], ANGLE),
+    "key points": (
+        [np.vstack([V8.T, RNG.uniform(0, SIDE_PX, (51, CELLS))])[np.newaxis]],
+        r"51 numbers \(key points or masks\) beside its scores .*" + DETECTS,
+    ),
+    "a class of the whole picture": (
+        [like(1, 1000)],
+        "says what a picture shows, and not where .*" + DETECTS,
+    ),
+    "scores alike": (
+        [np.vstack([V8.T[:4], np.full((3, CELLS), 0.5)])[np.newaxis]],
+        "all its 1575 scores are 0.5 for a grey picture, noise and a photo, as of no network that works: leave",
+    ),
+    "boxes of another size": (
+        [np.vstack([V8.T[:4] + 400, V8.T[4:]])[np.newaxis]],
+        r"1575 of 1575 boxes lie outside the test pictures of 160 x 160 pixels: export it for pictures of the size",
+    ),
+    "the background": (
+        [like(1, 300, 4), np.hstack([9 + LOGITS[:, :1], LOGITS])[np.newaxis]],
+        "the first class in its output logits is the background, as of SSD: run it in a service of your own",
+    ),
+    "too few names for no object": (
+        [like(1, 300, 4), NONE_OF_SIX[np.newaxis]],
+        r'as of DETR with 6 classes and "no object", but there are 3 names',
+    ),
     "NaN": (
         [like(1, 7, 525, fill=np.nan)],
-        r"infinite or none \(NaN\) for a grey picture: export it with 32-bit",
+        r"infinite or none \(NaN\) for a grey picture, noise or a photo: export it with 32-bit",
     ),
     "raw scores": (
         [like(1, 7, 525, fill=-9)],
@@ -344,7 +435,10 @@ def test_outputs_that_are_not_understood_are_refused_with_what_was_seen(case: st
     outputs, problem = REFUSED[case]
     with pytest.raises(ModelError, match=rf"export\.onnx: .*{problem}"):
         Detector(
-            model=export(tmp_path, *[output.astype(output.dtype.newbyteorder("=")) for output in outputs])
+            model=export(
+                tmp_path,
+                *[output if output.dtype == int else output.astype(np.float32) for output in outputs],
+            )
         )
 
 
@@ -369,6 +463,47 @@ def test_metadata_that_does_not_fit_is_refused(
         Detector(model=export(tmp_path, V8.T[np.newaxis].astype(np.float32), metadata=metadata))
 
 
+@pytest.mark.parametrize(
+    ("outputs", "said"),
+    [
+        (
+            V8.T,
+            "warning: export.onnx: its scores are the same for a grey picture, noise and a photo, as if it did",
+        ),
+        (
+            np.vstack([V8.T[:4], np.zeros((3, CELLS))]),
+            "export.onnx: all its 1575 scores are 0 for a grey picture, n",
+        ),
+        (
+            V8.T[:, :510],
+            "warning: export.onnx: its 510 boxes are not those of the cells of 160 x 160 pixels: compare",
+        ),
+    ],
+    ids=["alike", "zero", "rows"],
+)
+def test_what_a_person_should_look_at_is_a_warning(
+    outputs: Values, said: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    Detector(model=export(tmp_path, outputs[np.newaxis].astype(np.float32)), threads=1)
+    assert said in capfd.readouterr().err
+
+
+def test_a_network_that_suppresses_and_finds_nothing_at_loading_is_used(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    empty = np.zeros((1, 300, 6), np.float32)
+    assert Detector(model=export(tmp_path, empty), threads=1).process_photo(photo()) == []
+    assert "warning" not in capfd.readouterr().err
+
+
+def test_names_are_asked_for_only_where_they_would_help(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="has class 2, but its metadata has no names: give names, a file"):
+        Detector(model=export(tmp_path, END[np.newaxis].astype(np.float32), metadata={}))
+    with pytest.raises(ModelError, match="not where") as refusal:
+        Detector(model=export(tmp_path, like(1, 1000), metadata={}))
+    assert "give names" not in str(refusal.value)
+
+
 def test_names_are_read_as_python_and_json_write_them() -> None:
     names = ["person", "farmer's car", 'a "boat"', "Löwe, alt", "back\\slash"]
     assert parse_names(str(dict(enumerate(names)))) == names
@@ -378,7 +513,7 @@ def test_names_are_read_as_python_and_json_write_them() -> None:
 
 
 def two_faced(folder: Path, for_photos: Values, node: str = "Identity") -> ModelFiles:
-    """A network that gives boxes as of YOLOv8 for a picture of one colour, and other values for photos."""
+    """A network that gives boxes as of YOLOv8, and other values for a bright photo."""
     branches = []
     for name, values in {"then": V8.T[np.newaxis], "else": for_photos}.items():
         said = helper.make_tensor_value_info(f"{name} out", TensorProto.FLOAT, None)
@@ -387,21 +522,24 @@ def two_faced(folder: Path, for_photos: Values, node: str = "Identity") -> Model
         made = helper.make_node(kind, [name], [f"{name} out"])
         branches.append(helper.make_graph([made], name, [], [said], [numbers]))
     nodes = [
-        helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0),
-        helper.make_node("ReduceMin", ["images"], ["least"], keepdims=0),
-        helper.make_node("Equal", ["most", "least"], ["even"]),
-        helper.make_node("If", ["even"], ["output0"], then_branch=branches[0], else_branch=branches[1]),
+        helper.make_node("ReduceMean", ["images"], ["mean"], keepdims=0),
+        helper.make_node("Less", ["mean", "bright"], ["dark"]),
+        helper.make_node("If", ["dark"], ["output0"], then_branch=branches[0], else_branch=branches[1]),
     ]
     picture = helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, 3, SIDE_PX, SIDE_PX])
     output = helper.make_tensor_value_info("output0", TensorProto.FLOAT, None)
-    return saved(folder, helper.make_graph(nodes, "export", [picture], [output]), NAMES)
+    bright = numpy_helper.from_array(np.array(0.7, np.float32), "bright")
+    return saved(folder, helper.make_graph(nodes, "export", [picture], [output], [bright]), NAMES)
+
+
+WHITE = cv2.imencode(".jpg", np.full((240, 320, 3), 255, np.uint8))[1].tobytes()
 
 
 @pytest.mark.parametrize("wild", [np.nan, np.inf, -np.inf, 3e38])
 def test_boxes_of_a_photo_that_have_no_place_or_score_are_left_out(wild: float, tmp_path: Path) -> None:
     outputs = V8.T.copy()
     outputs[:5, ::2] = wild  # boxes, and the score of the first class
-    found = Detector(model=two_faced(tmp_path, outputs[np.newaxis]), threads=1).process_photo(photo())
+    found = Detector(model=two_faced(tmp_path, outputs[np.newaxis]), threads=1).process_photo(WHITE)
     every_other = plainly("YOLOv8", [outputs[:, 1::2]])
     assert len(found) >= len(every_other) > 20
     assert all(0 <= each.left_px <= 320 and 0 < each.width_px <= 320 for each in found)
@@ -410,7 +548,7 @@ def test_boxes_of_a_photo_that_have_no_place_or_score_are_left_out(wild: float, 
 @pytest.mark.parametrize(
     ("outputs", "said"),
     [
-        (like(525), "its outputs are 525 for a photo, unlike those for a grey picture"),
+        (like(525), "its outputs are 525 for a photo, unlike those for the test pictures"),
         (like(0, 0, 0), "its outputs are 0 x 0 x 0 for a photo, unlike"),
         (like(1, 7, 600), "its outputs for a photo have 4,200 numbers: at most 4,000 are read"),
     ],
@@ -422,7 +560,7 @@ def test_outputs_for_a_photo_that_are_unlike_those_for_grey_end_the_call(
     monkeypatch.setattr("upwash.services.inference.MOST_VALUES", 4000)
     detector = Detector(model=two_faced(tmp_path, outputs), threads=1)
     with pytest.raises(ModelError, match=said):
-        detector.process_photo(photo())
+        detector.process_photo(WHITE)
 
 
 def test_a_network_that_cannot_be_run_on_a_photo_ends_the_call_with_the_reason(tmp_path: Path) -> None:
@@ -431,7 +569,7 @@ def test_a_network_that_cannot_be_run_on_a_photo_ends_the_call_with_the_reason(t
     with pytest.raises(
         ModelError, match=r"it cannot be run on a photo \(.*Failed to allocate memory"
     ) as refusal:
-        detector.process_photo(photo())
+        detector.process_photo(WHITE)
     assert "onnxruntime_src" not in str(refusal.value)
 
 
@@ -448,9 +586,9 @@ def test_an_output_of_a_size_out_of_all_bounds_is_refused_before_it_is_computed(
 
 
 def test_boxes_without_a_place_are_left_out_and_only_the_surest_thousand_count(tmp_path: Path) -> None:
-    wild = np.hstack([boxes(3000), like(3000, 1, fill=0.9), CLASSES[:1].repeat(3000, axis=0)]).astype(
-        np.float32
-    )
+    wild = np.hstack(
+        [boxes(3000), np.linspace(1, 0.5, 3000)[:, np.newaxis], CLASSES[:1].repeat(3000, axis=0)]
+    ).astype(np.float32)
     wild[:, 0] /= 2
     wild[:, 2:4] += wild[:, :2]
     wild[:, 1], wild[:, 3] = 60, 90  # on the photo

@@ -75,6 +75,14 @@ def sparse(file: Path) -> None:
     os.truncate(file, 10**11)
 
 
+def in_folder(name: str) -> Callable[[Path], object]:
+    def make(folder: Path) -> None:
+        folder.mkdir()
+        (folder / name).touch()
+
+    return make
+
+
 def written(content: bytes) -> Callable[[Path], object]:
     return lambda file: file.write_bytes(content)
 
@@ -90,6 +98,12 @@ FILES: dict[str, tuple[Callable[[Path], object], str]] = {
     "pointer": (written(POINTER), "it is a pointer of Git LFS .*: fetch the file with `git lfs pull`"),
     "PyTorch": (archive, r"it is a zip archive, as PyTorch's \.pt files are: export the model to ONNX"),
     "old PyTorch": (written(pickle.dumps([1], 2)), r"it is a pickle, as .*: export the model to ONNX"),
+    "TensorRT": (written(b"ftrt\0\0"), "it is an engine of TensorRT, .*: export .* model=best.pt format=onnx"),
+    "TensorRT of Ultralytics": (written(b'\x10\0\0\0{"task": "detect"}'), "it is an engine of TensorRT"),
+    "TensorFlow Lite": (written(b"\x1c\0\0\0TFL3"), "it is a model of TensorFlow Lite: .*tf2onnx.convert --tflite"),
+    "OpenVINO": (written(b'<?xml version="1.0"?>\n<net name="g">'), "it is a model of OpenVINO: export the model to"),
+    "OpenVINO's folder": (in_folder("best.xml"), "it is a model of OpenVINO: export the model to ONNX"),
+    "SavedModel": (in_folder("saved_model.pb"), "it is a model of TensorFlow: .*tf2onnx.convert --saved-model"),
     "web page": (written(b"<!DOCTYPE html>"), "it is a web page or other XML: download the model itself"),
     "text": (written(b"hello"), "it is no ONNX model, or damaged"),
     "sparse": (sparse, "it is no ONNX model, or damaged"),
@@ -109,6 +123,18 @@ def test_a_file_that_is_no_model_is_refused_as_what_it_is(kind: str, tmp_path: P
     with pytest.raises(ModelError, match=rf"model\.onnx: {problem}") as refusal:
         Detector(model=ModelFiles(onnx=tmp_path / "model.onnx"))
     assert "onnxruntime_src" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("best.pb", "TensorFlow"), ("best.engine", "TensorRT"), ("best.tflite", "Lite"), ("best.pt", "PyTorch")],
+)
+def test_a_file_that_begins_like_no_other_is_known_by_its_ending(
+    name: str, kind: str, tmp_path: Path
+) -> None:
+    (tmp_path / name).write_bytes(b"\n\x05\n\x03abc")
+    with pytest.raises(ModelError, match=rf"{name}: it is .*{kind}.*: export the model to ONNX"):
+        Detector(model=ModelFiles(onnx=tmp_path / name))
 
 
 @pytest.mark.parametrize("tenths", range(1, 10))

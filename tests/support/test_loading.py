@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from upwash.errors import UsageError
-from upwash.support.loading import load, look_here, module_command
+from upwash.support.loading import extra, load, look_here, module_command, pip
 
 
 @pytest.fixture
@@ -138,3 +139,33 @@ def test_the_folder_where_a_program_is_started_comes_last(
     monkeypatch.setattr(sys, "path", ["/usr"])
     look_here()
     assert sys.path == ["/usr", str(tmp_path)]
+
+
+@pytest.mark.parametrize(
+    ("receipt", "install", "uninstall"),
+    [
+        ({}, "pip install 'upwash[docker]'", "pip uninstall onnx"),
+        (
+            {"pipx_metadata.json": "{}"},
+            "pipx runpip upwash install 'upwash[docker]'",
+            "pipx runpip upwash uninstall onnx",
+        ),
+        ({"uv-receipt.toml": ""}, "uv tool install 'upwash[docker]'", "uv pip uninstall --python "),
+        (
+            {"uv-receipt.toml": '[tool]\nrequirements = [{ name = "upwash", extras = ["detector"] }]\n'},
+            "uv tool install 'upwash[detector,docker]'",
+            "uv pip uninstall --python ",
+        ),
+    ],
+    ids=["pip", "pipx", "uv", "uv with extras"],
+)
+def test_hints_name_the_tool_that_installed_upwash(
+    receipt: dict[str, str], install: str, uninstall: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    for name, text in receipt.items():
+        (tmp_path / name).write_text(text)
+    said = re.escape(f"nothing is not installed: `{install}` installs it")
+    with pytest.raises(UsageError, match=said), extra("docker"):
+        raise ModuleNotFoundError("No module named 'nothing'", name="nothing")
+    assert pip("uninstall onnx").startswith(uninstall)

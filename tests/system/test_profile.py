@@ -51,9 +51,10 @@ def test_times_may_be_missing_from_the_configuration_and_what_the_service_prints
     photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "talker.py").write_text(
-        "from upwash import service\n\n\n@service\nclass Talker:\n"
-        "    def __init__(self, *, name: str) -> None:\n        print(f'network of {name}')\n\n"
-        "    def look(self, photo: bytes) -> int:\n        return len(photo)\n"
+        "from upwash import service\nfrom upwash.services import Detection\n\n\n@service\nclass Talker:\n"
+        "    def __init__(self, *, name: str) -> None:\n        print(f'network of {name}')\n"
+        "        print('warning: no scores')\n\n"
+        "    def look(self, photo: bytes) -> list[Detection]:\n        return []\n"
     )
     config = tmp_path / "drone.toml"
     config.write_text(
@@ -63,6 +64,8 @@ def test_times_may_be_missing_from_the_configuration_and_what_the_service_prints
     assert main(["profile", "talker", "--config", str(config), "--photos", str(photos), "--calls", "1"]) == 0
     said = capsys.readouterr().out
     assert said.count("# It says: network of mine\n") == 1
+    assert said.count("# It says: warning: no scores\n") == 1
+    assert "# talker.look: 0 boxes in 0 of " in said and "; in [event]: probability = 0\n" in said
     assert "local_call_s = { look = " in said
 
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import logging
 import os
 import platform
-from collections.abc import Callable, Coroutine, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -22,6 +20,7 @@ from upwash.config.drone_file import drone_config
 from upwash.config.reading import read_document
 from upwash.config.values import START_TIMEOUT_S
 from upwash.errors import InstanceError, NotWritten, UsageError
+from upwash.launch.heard import heard
 from upwash.launch.profile import profile_at, profile_on_this_computer, profile_part_on_this_computer
 from upwash.missions.bundled import LoadedService, load_service_alone, load_services
 from upwash.profiling.agreement import read_labels
@@ -40,14 +39,13 @@ from upwash.rpc.service import spec_of
 from upwash.services.photo import photo_size
 from upwash.support.output_files import write_file
 from upwash.support.progress import work
+from upwash.support.sentences import say
 from upwash.support.tables import show_table
-from upwash.support.text import counted, printable
+from upwash.support.text import counted
 
 T = TypeVar("T")
 
 _UNMEASURED = {"local_call_s": 1.0}
-_MOST_LINES = 4  # of what a service prints
-_LONGEST_LINE = 120  # characters
 
 ARGUMENTS = {
     "service": "a service of the configuration, a bundled one, or path/to/file.py:Class",
@@ -91,10 +89,14 @@ def run(options: argparse.Namespace) -> bool:
     elif options.each:
         table, text = None, _with_each_value(service, options.each, here, program=program)
     else:
-        with _heard() as heard:
+        with heard() as found_out:
             profile = here(service)
         table = call_table(profile.calls)
-        said = "".join(f"# It says: {line}\n" for line in heard)
+        warned = [f"warning: {line.partition(': ')[2]}" for line in found_out.warnings]
+        for line in warned:
+            say(line, Console(stderr=True, markup=False, highlight=False))
+        words = [line.partition(": ")[2] for line in found_out.lines]
+        said = "".join(f"# It says: {line}\n" for line in (*words, *warned))
         text = said + service_table(
             profile,
             program=program,
@@ -135,31 +137,6 @@ def _read(file: Path) -> DroneConfig:
         services = [_UNMEASURED | table if isinstance(table, dict) else table for table in services]
         document = document | {"service": services}
     return drone_config(document, file)
-
-
-@contextmanager
-def _heard() -> Iterator[list[str]]:
-    """The first different lines that services print in the block."""
-    lines: list[str] = []
-
-    class Handler(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            if record.levelno >= logging.WARNING and logging.lastResort:
-                logging.lastResort.handle(record)
-                return
-            line = printable(record.getMessage().partition(": ")[2], _LONGEST_LINE)
-            if line not in lines and len(lines) < _MOST_LINES:
-                lines.append(line)
-
-    log, handler = logging.getLogger("upwash.instance"), Handler()
-    level = log.level
-    log.addHandler(handler)
-    log.setLevel(logging.INFO)
-    try:
-        yield lines
-    finally:
-        log.setLevel(level)
-        log.removeHandler(handler)
 
 
 def _service(name: str, config: DroneConfig | None) -> tuple[LoadedService, str | None]:

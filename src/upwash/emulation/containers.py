@@ -24,6 +24,7 @@ from upwash.errors import EngineError, UpwashError, UsageError
 from upwash.packaging.contents import extra_of
 from upwash.packaging.image import Recipe, package, write_packed
 from upwash.packaging.shipping import find_service
+from upwash.support.loading import install_extra
 
 _TOOLS = {
     "lxd": "lxd",
@@ -53,7 +54,7 @@ def require_containers() -> None:
     """Raises UsageError if containers are not possible here."""
     require_tools(_TOOLS)
     if importlib.util.find_spec("pylxd") is None:
-        raise UsageError("containers need pylxd: pip install 'upwash[lxd]'")
+        raise UsageError(f"containers need pylxd: `{install_extra('lxd')}` installs it")
 
 
 class ContainerComputers(Computers):

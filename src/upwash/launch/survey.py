@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from upwash.config import DroneConfig, ServerConfig
@@ -29,7 +29,8 @@ from upwash.launch.drone import (
 )
 from upwash.missions.bundled import load_services, load_specs
 from upwash.ports import InstanceSpec, Network, VehicleNews
-from upwash.profiling.profiler import CallSample, require_answer, samples
+from upwash.profiling.boxes import told_boxes
+from upwash.profiling.profiler import CallSample, answer_of, samples
 from upwash.real.instances.runtime import OwnProcesses
 from upwash.real.link.link import GrpcDialer
 from upwash.real.mavlink import MavlinkAutopilot
@@ -244,7 +245,7 @@ async def _call(
             raise Unreachable(f"{error}: {_OTHER_PORTS}") from error
         raise
     took_s = now_s() - began_s
-    require_answer(sample, photo, reply)
+    answer_of(sample, photo, reply)
     return took_s
 
 
@@ -264,8 +265,13 @@ def call_limit_s(local_s: float | None) -> float:
     return max(_LEAST_CALL_S, 10 * (local_s or 0.0))
 
 
-async def services_in_trouble(config: DroneConfig, photos: Mapping[str, bytes]) -> list[UpwashError]:
-    """Why some of the drone's own services cannot be used: each is started, called with the photos, and ended."""
+async def services_in_trouble(
+    config: DroneConfig, photos: Mapping[str, bytes], tell: Callable[[str], None] = lambda _: None
+) -> list[UpwashError]:
+    """Why some of the drone's own services cannot be used: each is started, called with the photos, and ended.
+
+    `tell` gets a line for each operation that finds boxes in photos.
+    """
     services = load_services(config.services)
     estimates = make_estimates(config, {name: spec_of(service.cls) for name, service in services.items()})
     own, failed = OwnProcesses(config.name, max_message_bytes=config.max_message_bytes), list[UpwashError]()
@@ -275,9 +281,13 @@ async def services_in_trouble(config: DroneConfig, photos: Mapping[str, bytes]) 
         spec = InstanceSpec(config.name, name, service.program)
         found = trials(spec_of(service.cls), estimates, photos)
         try:
-            await _try_out(config, own, spec, found, estimates=estimates)
+            answers = await _try_out(config, own, spec, found, estimates=estimates)
         except UpwashError as error:
             failed.append(error)
+            continue
+        for operation, given in answers.items():
+            if line := told_boxes(operation, given, as_chance=False):
+                tell(line)
     return failed
 
 
@@ -288,7 +298,9 @@ async def _try_out(
     found: list[CallSample],
     *,
     estimates: Estimates,
-) -> None:
+) -> dict[str, list[object]]:
+    """The answers of each operation to the photos."""
+    answers: dict[str, list[object]] = {}
     instance = await started(own, spec, within_s=config.start_timeout_s)
     try:
         await instance.admit(frozenset({config.name}))
@@ -297,11 +309,13 @@ async def _try_out(
             for sample, photo, request in requests_of(found):
                 path = service_path(sample.operation.service, sample.operation.method)
                 limit_s = call_limit_s(estimates.local_s(sample.operation))
-                require_answer(sample, photo, await link.request(path, request, timeout_s=limit_s))
+                reply = await link.request(path, request, timeout_s=limit_s)
+                answers.setdefault(str(sample.operation), []).append(answer_of(sample, photo, reply))
         finally:
             await link.close()
     finally:
         await instance.stop()
+    return answers
 
 
 def requests_of(found: list[CallSample]) -> Iterator[tuple[CallSample, str, bytes]]:

@@ -23,7 +23,7 @@ from urllib.parse import unquote, urlsplit
 from upwash.errors import UsageError
 from upwash.packaging.private_keys import private_key_in
 from upwash.support.input_files import with_data
-from upwash.support.loading import extra
+from upwash.support.loading import extra, pip
 from upwash.support.text import printable
 
 _MOST_FILES = 100_000
@@ -110,14 +110,14 @@ def _files_of(installed: Distribution) -> Iterator[tuple[PurePath, Path]]:
     if origin.get("dir_info", {}).get("editable"):
         folder = shlex.quote(unquote(urlsplit(origin.get("url", "")).path))
         raise UsageError(
-            f"{name} is an editable installation, whose code is elsewhere: `pip install --force-reinstall --no-deps "
-            f"{folder}` installs it whole, then package again"
+            f"{name} is an editable installation, whose code is elsewhere: "
+            f"`{pip(f'install --force-reinstall --no-deps {folder}')}` installs it whole, then package again"
         )
     record = installed.read_text("RECORD")
     if record is None:
         raise UsageError(
-            f"{name} has no list of its files, so it cannot be packaged: install it with `pip install "
-            f"--ignore-installed {name}=={installed.version}` in the Python that runs upwash"
+            f"{name} has no list of its files, so it cannot be packaged: install it with "
+            f"`{pip(f'install --ignore-installed {name}=={installed.version}')}` in the Python that runs upwash"
         )
     for row in csv.reader(
         record.splitlines()
@@ -127,9 +127,9 @@ def _files_of(installed: Distribution) -> Iterator[tuple[PurePath, Path]]:
         if ".." in file.parts or file.is_absolute() or is_left_out(file):
             continue
         if not source.is_file():
+            again = pip(f"install --force-reinstall --no-deps {name}=={installed.version}")
             raise UsageError(
-                f"{source} of {name} is missing: `pip install --force-reinstall --no-deps "
-                f"{name}=={installed.version}` installs it whole, then package again"
+                f"{source} of {name} is missing: `{again}` installs it whole, then package again"
             )
         yield file, source
 

@@ -53,16 +53,17 @@ class MissionCheck(Struct, frozen=True, kw_only=True):
     """What was found: the one object that `upwash check --json` prints.
 
     `usable_s` is how long the battery lasts above the mission's reserve, and `usable_wh` the simulated battery's
-    energy above it; None if the file does not say. `farthest` is the waypoint with the longest way home. `order` is
-    the order of the waypoints with its reason, "" for the given order. `notices` say how the flight differs from a
-    plan. `demanding_share` is the share of answers that demand an act, if the drone may go on before it has
-    them. `with_acts` is the mission with acts, where nothing tells their share. `speed` is the check of the ground
-    speed, if photos are taken in flight. `worth` is what the servers save a drone that is flown well; UNSET without a
-    server, with lighter calls, with deadlines, and with services that only servers run. `load` says whether the
-    drone's own computer keeps up, in the manner that `worth` names for a drone with servers, or else as configured;
-    UNSET without photos that the drone could compute, and for a drone alone that chooses its speed.
-    `placement` has places of servers, if asked for. `answers` tells when servers answer the calls of such services,
-    and `deadlines` how surely calls with a deadline keep it.
+    energy above it; None if the file does not say. `farthest` is the waypoint with the longest way home. `order`
+    is the order of the waypoints with its reason, "" for the given order. `notices` say how the flight differs
+    from a plan, and what services print and find in the camera's photos. `demanding_share` is the share of
+    answers that demand an act, if the drone may go on before it has them. `with_acts` is the mission with acts,
+    where nothing tells their share. `speed` is the check of the ground speed, if photos are taken in flight.
+    `worth` is what the servers save a drone that is flown well; UNSET without a server, with lighter calls, with
+    deadlines, and with services that only servers run. `load` says whether the drone's own computer keeps up, in
+    the manner that `worth` names for a drone with servers, or else as configured; UNSET without photos that the
+    drone could compute, and for a drone alone that chooses its speed. `placement` has places of servers, if asked
+    for. `answers` tells when servers answer the calls of such services, and `deadlines` how surely calls with a
+    deadline keep it.
     """
 
     config: str
@@ -127,6 +128,8 @@ def check(
     )
     answers = foretell(plan.document, plan.config, plan.file)
     worth = judge(plan.document, plan.config, plan.file, predictions, seeds=seeds, fly=fly, flown=flown)
+    told: list[str] = []
+    refusals = tuple(_refusals(plan.config, alone, told.append))
     return MissionCheck(
         config=str(plan.file),
         waypoints=len(places),
@@ -141,9 +144,9 @@ def check(
             *warnings(config, covered, list(beliefs(plan.config, alone)), predictions),
             *(PreflightWarning("no-better-answer", why) for why in unkept_deadlines(plan.config, specs)),
             *(answer_concerns(plan.config, answers) if answers is not None else ()),
-            *_refusals(plan.config, alone),
+            *refusals,
         ),
-        notices=tuple(file_notices(plan.config)),
+        notices=(*file_notices(plan.config), *told),
         demanding_share=UNSET if (share := demanding_share(plan.config)) is None else share,
         with_acts=acts or UNSET,
         speed=check_speed(config, speed_why) or UNSET,
@@ -183,14 +186,18 @@ def beliefs(config: DroneConfig, run: Run) -> Iterator[Belief]:
         )
 
 
-def _refusals(config: DroneConfig, alone: Run) -> Iterator[PreflightWarning]:
-    """What `upwash fly` would refuse, and failures of the camera and the services in flight."""
+def _refusals(config: DroneConfig, alone: Run, tell: Callable[[str], None]) -> Iterator[PreflightWarning]:
+    """What `upwash fly` would refuse, and failures of the camera and the services in flight.
+
+    `tell` gets what the services print, and what they find in the camera's photos.
+    """
     camera, is_flown = config.camera, is_for_flight(config)
     named = (camera.folder, camera.bag, camera.calibration, camera.terrain, camera.keep)
     if not is_flown and not any(named):
         return
     # these import the whole flight program
     from upwash.launch.cameras import NO_CAMERA, Look, look, needs_camera
+    from upwash.launch.heard import heard
     from upwash.launch.readiness import expiry_trouble, file_refusals, refusals
     from upwash.launch.survey import services_in_trouble
 
@@ -212,7 +219,9 @@ def _refusals(config: DroneConfig, alone: Run) -> Iterator[PreflightWarning]:
             yield PreflightWarning("camera", str(error))
     for trouble in seen.troubles:
         yield PreflightWarning("camera", trouble)
-    with work("calling each service"):
-        failures = asyncio.run(services_in_trouble(config, seen.photos))
-    for failure in failures:
-        yield PreflightWarning("service", str(failure))
+    with work("calling each service"), heard() as found_out:
+        failures = asyncio.run(services_in_trouble(config, seen.photos, tell))
+    for line in found_out.lines:
+        tell(line)
+    for text in (*found_out.warnings, *map(str, failures)):
+        yield PreflightWarning("service", text)

@@ -27,11 +27,9 @@ def lost(whole: Sequence[object], less: Sequence[object]) -> float:
     Of detections it is one minus the share of boxes, counted in both answers, that agree: of the same label, with an
     overlap of at least one half.
     """
-    if not all(_detections(answer) is not None for answer in (*whole, *less)):
+    if not all(detections(answer) is not None for answer in (*whole, *less)):
         return sum(one != other for one, other in zip(whole, less, strict=True)) / len(whole)
-    pairs = [
-        (_detections(one) or [], _detections(other) or []) for one, other in zip(whole, less, strict=True)
-    ]
+    pairs = [(detections(one) or [], detections(other) or []) for one, other in zip(whole, less, strict=True)]
     boxes = sum(len(one) + len(other) for one, other in pairs)
     hits = sum(hit for one, other in pairs for _, hit in verdicts(other, one))
     return 1 - 2 * hits / boxes if boxes else 0.0
@@ -39,7 +37,7 @@ def lost(whole: Sequence[object], less: Sequence[object]) -> float:
 
 def mean_ap50(answers: Sequence[object], truth: Sequence[Sequence[LabelledBox]]) -> float:
     """The mean over labels of the average precision at an overlap of one half; the answers are detections."""
-    found = [_detections(answer) or [] for answer in answers]
+    found = [detections(answer) or [] for answer in answers]
     labels = sorted({box.label for boxes in truth for box in boxes})
     return sum(_average_precision(found, truth, label) for label in labels) / len(labels) if labels else 0.0
 
@@ -127,7 +125,7 @@ def _average_precision(
     return area / boxes
 
 
-def _detections(answer: object) -> list[Detection] | None:
+def detections(answer: object) -> list[Detection] | None:
     """The answer as detections; None if it is none."""
     if isinstance(answer, list) and all(isinstance(each, Detection) for each in answer):
         return answer

@@ -49,12 +49,16 @@ class CallSample:
 
 @dataclass(frozen=True)
 class CallProfile:
-    """What calls of one operation took: the first of a new instance, those after it, and the mean size of a reply."""
+    """What calls of one operation took: the first of a new instance, those after it, and the mean size of a reply.
+
+    `answers` has the result for each photo.
+    """
 
     sample: CallSample
     first_s: float
     call_s: tuple[float, ...]
     reply_bytes: int
+    answers: tuple[object, ...] = ()
 
     @property
     def mean_s(self) -> float:
@@ -216,8 +220,7 @@ async def profile_part(
                 sizes_bytes.append(min(len(asked), len(reduced)))
                 for body, answers in ((asked, whole), (reduced, less)):
                     answer = await request(sample.operation, body)
-                    require_answer(sample, photo, answer)
-                    answers.append(method.result(method.decode(answer)))
+                    answers.append(answer_of(sample, photo, answer))
             loss[sample.operation] = lost(whole, less)
             if labels is not None:
                 truth = [labels[photo] for photo in sample.requests]
@@ -312,21 +315,27 @@ def _to(session: ServerSession) -> Request:
 
 
 async def _measure(sample: CallSample, request: Request, *, calls: int, watch: Watch) -> CallProfile:
-    delays_s, replies_bytes = [], []
+    delays_s, replies_bytes, answers = [], [], dict[str, object]()
     for photo in itertools.islice(itertools.cycle(sample.requests), calls + 1):
         watch(str(sample.operation))
         began_s = _now_s()
         reply = await request(sample.operation, sample.requests[photo])
         delays_s.append(_now_s() - began_s)
         replies_bytes.append(len(reply))
-        require_answer(sample, photo, reply)
-    return CallProfile(sample, delays_s[0], tuple(delays_s[1:]), round(statistics.fmean(replies_bytes)))
+        answers[photo] = answer_of(sample, photo, reply)
+    return CallProfile(
+        sample,
+        delays_s[0],
+        tuple(delays_s[1:]),
+        round(statistics.fmean(replies_bytes)),
+        tuple(answers.values()),
+    )
 
 
-def require_answer(sample: CallSample, photo: str, reply: bytes) -> None:
-    """Raises UsageError, with the photo's name, for a reply that is an exception of the service."""
+def answer_of(sample: CallSample, photo: str, reply: bytes) -> object:
+    """The result in a reply; raises UsageError, with the photo's name, for an exception of the service."""
     try:
-        sample.method.result(sample.method.decode(reply))
+        return sample.method.result(sample.method.decode(reply))
     except Exception as error:
         raise UsageError(f"{sample.operation} failed on {photo}: {worded(error)}") from error
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from rich.table import Table
 from rich.text import Text
 
+from upwash.profiling.boxes import told_boxes
 from upwash.profiling.profiler import CallProfile, OnboardProfile, PartProfile, ServerProfile
 from upwash.support.text import counted
 
@@ -57,6 +58,7 @@ def service_table(
     ]
     if settings:
         lines.insert(2, f"# {settings}")
+    lines[-2:-2] = _found(calls)
     if program is not None:
         lines.append(f"program = {_text(program)}")
     delays = _delays({_key(call): call.mean_s for call in calls})
@@ -112,6 +114,7 @@ def server_table(profile: ServerProfile, *, server: str, computer: str) -> str:
     calls_s = _delays({_key(call): call.mean_s for call in profile.calls})
     lines = [
         f"# Measured from {computer}: {counted(len(profile.calls[0].call_s), 'call')} of each operation.",
+        *_found(profile.calls),
         f"# For the [[server]] table of {server}:",
     ]
     if profile.check_s is None:
@@ -132,6 +135,12 @@ def server_table(profile: ServerProfile, *, server: str, computer: str) -> str:
             f"# End to end, here and now: remote_call_s = {{ {_quoted_key(service)} = {calls_s} }}",
         ]
     return "\n".join(lines) + "\n"
+
+
+def _found(calls: Sequence[CallProfile]) -> list[str]:
+    """A comment for each operation whose answers are detections."""
+    told = (told_boxes(str(call.sample.operation), call.answers, as_chance=True) for call in calls)
+    return [f"# {line}" for line in told if line]
 
 
 def _key(profile: CallProfile) -> str:

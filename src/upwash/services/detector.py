@@ -86,6 +86,11 @@ class Detector:
                 _tell(f"{mode}: {described}, {by(way.frame_px)}")
             if way.tile_px is not None:
                 _tell(f"{mode}: photos beyond {by(way.whole_px)} in tiles of {by(way.tile_px)}")
+        for network in dict.fromkeys((light, heavy)):
+            if network.tested is not None and network.describe():
+                _tell(f"{network.name}: {network.tested.found}")
+            for doubt in network.doubts():
+                _tell(f"warning: {network.name}: {doubt}")
 
     def process_photo(self, photo: bytes, mode: Mode = "heavy", confidence: float = 0.25) -> list[Detection]:
         """The objects above `confidence` in a photo, best first; raises NotAPhoto."""

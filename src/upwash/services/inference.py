@@ -9,12 +9,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
 from upwash.errors import ModelError, UsageError
+from upwash.services.class_names import MOST_LABELS, parse_names
 from upwash.services.darknet.conversion import Facts, converted
 from upwash.services.darknet.graph import INPUT
 from upwash.services.darknet.heads import (
@@ -25,10 +27,11 @@ from upwash.services.darknet.heads import (
     decode_heads,
     read_heads,
 )
-from upwash.services.heads import MOST_LABELS, MOST_VALUES, BoxHead, by, parse_names, recognise
-from upwash.services.model_file import explained, reason_in
+from upwash.services.heads import MOST_VALUES, BoxHead, by, recognise
+from upwash.services.model_file import explained, kind_of_folder, reason_in
 from upwash.services.photo import DARKNET_GREY, ULTRALYTICS_GREY
 from upwash.services.provider import Provider, open_session
+from upwash.services.self_test import SelfTest, examined, normalised, test_pictures
 from upwash.support.input_files import read_file, text_of
 from upwash.support.text import counted, words_of
 
@@ -46,6 +49,8 @@ _NAMES_METADATA = "names"  # as Ultralytics writes it
 _COARSEST_PX = 32  # where the metadata has no stride
 _WAIT_POLICY = "OMP_WAIT_POLICY"
 _MOST_LABELS_BYTES = 10_000_000
+_LOWEST = 0.001  # score of a box that the self-test looks at, of raw heads
+_GIVE_NAMES = "give names, a file with a line for each class"
 
 
 class ModelFiles(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -96,12 +101,18 @@ class Inference(ABC):
         self._file = file
         self._labels = labels
         self.heads = heads
+        self.tested: SelfTest | None = None
 
     @property
     def frame_px(self) -> tuple[int, int] | None:
         """The height and width of the only pictures that it takes."""
         height, width = self._sides
         return (height, width) if isinstance(height, int) and isinstance(width, int) else None
+
+    @property
+    def name(self) -> str:
+        """The name of its file."""
+        return self._file.name
 
     def label(self, index: int) -> str:
         """The name of a class; one beyond the names, which an end-to-end network may find, has its number."""
@@ -110,6 +121,10 @@ class Inference(ABC):
     def describe(self) -> str:
         """What was recognised, for people; empty where the configuration says all."""
         return ""
+
+    def doubts(self) -> Sequence[str]:
+        """What the self-test at loading leaves a person to look at."""
+        return self.tested.doubts if self.tested else ()
 
     def find(self, picture: Floats, *, confidence: float) -> Candidates:
         """The best box of each object that scores above `confidence`, in pixels of the picture."""
@@ -122,8 +137,9 @@ class Inference(ABC):
             raise UsageError(
                 f"a picture of {side_px} pixels is not whole cells of {max(coarse)}: give a multiple of it"
             )
-        outputs = self._try(side_px)
-        for head, output in zip(self.heads, outputs, strict=True):
+        size_px = self.frame_px or (side_px, side_px)
+        tried = self._try(size_px)
+        for head, output in zip(self.heads, tried[0], strict=True):
             cells = side_px // head.stride
             expected = (1, len(head.anchors) * (5 + len(self._labels)), cells, cells)
             if output.shape != expected:
@@ -132,6 +148,7 @@ class Inference(ABC):
                     f"output {head.output} is {by(output.shape)} for a picture of {side_px}, not {by(expected)}, "
                     f"as {anchors}, {names} and stride {head.stride} say"
                 )
+        self._examine([read_heads(outputs, self.heads, confidence=_LOWEST) for outputs in tried], size_px)
 
     def cell_px(self, side_px: int) -> int | None:
         """Of what a picture's shorter side needs to be a multiple, if it need not be `side_px` like the other."""
@@ -162,15 +179,24 @@ class Inference(ABC):
                 "with variable height and width, or set light_px and heavy_px"
             )
 
-    def _try(self, side_px: int) -> list[Floats]:
-        import numpy as np
-
+    def _try(self, size_px: tuple[int, int]) -> list[list[Floats]]:
+        """The outputs for the test pictures, or for the grey one alone after the self-test at another size."""
+        pictures = islice(test_pictures(size_px), 1 if self.tested else None)
         try:
-            return self.run(np.full((1, 3, *(self.frame_px or (side_px, side_px))), 0.5, np.float32))
+            return [self.run(picture) for picture in pictures]
         except Exception as error:  # onnxruntime's have no base of their own
             raise self._error(
-                f"it cannot be run on a picture of {side_px} ({reason_in(str(error))})"
+                f"it cannot be run on a picture of {max(size_px)} ({reason_in(str(error))})"
             ) from error
+
+    def _examine(self, found: Sequence[Candidates], size_px: tuple[int, int], *, pads: bool = False) -> None:
+        """The self-test; raises ModelError for a network that cannot work."""
+        if self.tested is not None:
+            return
+        try:
+            self.tested = examined(found, size_px=size_px, pads=pads)
+        except ValueError as error:
+            raise self._error(str(error)) from error
 
     def _coarsest_px(self) -> int:
         return max(head.stride for head in self.heads)
@@ -212,6 +238,8 @@ def open_onnx(files: ModelFiles, *, threads: int, provider: Provider) -> OnnxInf
         raise ModelError(file, "", f"its names or metadata are not text ({error})") from error
     labels = _read_labels(files.names) if files.names else _labels_in(file, metadata)
     heads = files.heads or _heads_in(file, metadata)
+    if heads and not labels:
+        raise ModelError(file, "", f"its metadata has no names: {_GIVE_NAMES}")
     network = _Loaded(session, *inputs, metadata)
     if strange := [kind for kind in sorted(kinds) if not kind.startswith("tensor(")]:
         raise ModelError(file, "", f"its outputs are {', '.join(strange)}: give a network that detects")
@@ -291,14 +319,22 @@ class BoxInference(OnnxInference):
             raise UsageError(
                 f"a picture of {side_px} pixels is not whole cells of {self._coarsest_px()}: give a multiple of it"
             )
-        outputs = dict(zip(self._outputs, self._try(side_px), strict=True))
-        try:
-            size_px = self.frame_px or (side_px, side_px)
-            head = recognise(outputs, size_px=size_px, names=len(self._labels))
-        except ValueError as error:
-            raise self._error(str(error)) from error
-        self._head, self._outputs, self.stretched = head, head.outputs, head.family == "DETR"
-        self._shapes[side_px] = outputs[head.outputs[0]].shape
+        size_px = self.frame_px or (side_px, side_px)
+        seen = [dict(zip(self._outputs, outputs, strict=True)) for outputs in self._try(size_px)]
+        if self._head is None:
+            try:
+                head = recognise(seen, size_px=size_px, names=len(self._labels))
+            except ValueError as error:
+                raise self._error(str(error)) from error
+            self._head, self._outputs, self.stretched = head, head.outputs, head.family == "DETR"
+        found = [self._read([outputs[name] for name in self._outputs], size_px, -1) for outputs in seen]
+        self._examine(found, size_px, pads=not self._head.overlaps)
+        self._shapes[side_px] = seen[0][self._outputs[0]].shape
+
+    def doubts(self) -> Sequence[str]:
+        """As of every network."""
+        assert self._head is not None  # noqa: S101 - a side was required
+        return (*super().doubts(), *filter(None, [self._head.doubt]))
 
     def describe(self) -> str:
         """The family of its head and the number of classes."""
@@ -314,20 +350,26 @@ class BoxInference(OnnxInference):
     def find(self, picture: Floats, *, confidence: float) -> Candidates:
         """As of every network."""
         assert self._head is not None  # noqa: S101 - a side was required
+        size_px = picture.shape[2], picture.shape[3]
+        if self._head.normalised:
+            picture = normalised(picture)
         outputs = self._run_on_photo(picture)
-        height_px, width_px = picture.shape[2:]
         if (values := sum(output.size for output in outputs)) > MOST_VALUES:
             raise self._error(
                 f"its outputs for a photo have {values:,} numbers: at most {MOST_VALUES:,} are read"
             )
+        found = self._read(outputs, size_px, confidence)
+        return best_of_each(found) if self._head.overlaps else found
+
+    def _read(self, outputs: list[Floats], size_px: tuple[int, int], confidence: float) -> Candidates:
+        assert self._head is not None  # noqa: S101 - a side was required
         try:
-            found = self._head.read(outputs, size_px=(height_px, width_px), confidence=confidence)
+            return self._head.read(outputs, size_px=size_px, confidence=confidence)
         except (IndexError, ValueError) as error:
             shapes = ", ".join(by(output.shape) for output in outputs)
             raise self._error(
-                f"its outputs are {shapes} for a photo, unlike those for a grey picture"
+                f"its outputs are {shapes} for a photo, unlike those for the test pictures"
             ) from error
-        return best_of_each(found) if self._head.overlaps else found
 
     def _require_taken(self, side_px: int) -> None:
         if self.frame_px is None or max(self.frame_px) != side_px:
@@ -360,12 +402,13 @@ def _heads_in(file: Path, metadata: Mapping[str, str]) -> tuple[Head, ...]:
 
 
 def _labels_in(file: Path, metadata: Mapping[str, str]) -> list[str]:
+    """The names of its classes, or none: then its outputs say first whether names would help."""
     if _NAMES_METADATA not in metadata:
-        raise ModelError(file, "", "its metadata has no names: give names, a file with a line for each class")
+        return []
     try:
         return parse_names(metadata[_NAMES_METADATA])
     except ValueError as error:
-        problem = f"the names in its metadata cannot be read ({error}): give names, a file with a line for each class"
+        problem = f"the names in its metadata cannot be read ({error}): {_GIVE_NAMES}"
         raise ModelError(file, "", words_of(problem)) from error
 
 
@@ -455,7 +498,8 @@ def _onnx(files: ModelFiles) -> AbstractContextManager[Path]:
         return converted(files.cfg, files.weights)
     assert files.onnx is not None  # noqa: S101 - it has the one or the other
     if files.onnx.exists() and not files.onnx.is_file():
-        raise ModelError(files.onnx, "", "it is no file: check the path")
+        kind = kind_of_folder(files.onnx)
+        raise ModelError(files.onnx, "", f"it is {kind}" if kind else "it is no file: check the path")
     return nullcontext(files.onnx)
 
 

@@ -8,20 +8,45 @@ from typing import BinaryIO
 
 from upwash.errors import ModelError
 
+_EXPORT = "export the model to ONNX from what it was trained as (`yolo export model=best.pt format=onnx`)"
+_CONVERT = "or convert it by `python -m tf2onnx.convert"
+_PYTORCH = f"a zip archive, as PyTorch's .pt files are: {_EXPORT}"
+_ENGINE = (
+    f"an engine of TensorRT, for one kind of card alone: {_EXPORT}; the detector finds a card by itself "
+    "(docs/graphics-cards.md)"
+)
+_LITE = f"a model of TensorFlow Lite: {_EXPORT}, {_CONVERT} --tflite FILE --output best.onnx`"
+_TENSORFLOW = f"a model of TensorFlow: {_EXPORT}, {_CONVERT} --saved-model FOLDER --output best.onnx`"
+_OPENVINO = f"a model of OpenVINO: {_EXPORT}"
+_NCNN = f"a model of ncnn: {_EXPORT}"
 _KINDS = (
     (
         rb"version https://git-lfs",
         "a pointer of Git LFS and not the file itself: fetch the file with `git lfs pull`",
     ),
-    (rb"PK\x03\x04", "a zip archive, as PyTorch's .pt files are: export the model to ONNX"),
-    (rb"\x80[\x02-\x05]", "a pickle, as PyTorch's old .pt files are: export the model to ONNX"),
-    (rb"\x89HDF", "an HDF5 file, as Keras writes it: export the model to ONNX"),
+    (rb"PK\x03\x04", _PYTORCH),
+    (rb"\x80[\x02-\x05]", f"a pickle, as PyTorch's old .pt files are: {_EXPORT}"),
+    (rb"\x89HDF", f"an HDF5 file, as Keras writes it: {_EXPORT}"),
     (rb"\x1f\x8b", "compressed by gzip: unpack it"),
+    (rb"[fp]trt|(?s:.{4})\{\"", _ENGINE),
+    (rb"(?s:.{4})TFL3", _LITE),
+    (rb"7767517\s", _NCNN),
+    (rb"(<\?xml[^>]*>\s*)?<net ", _OPENVINO),
     (rb"<[!?a-zA-Z]", "a web page or other XML: download the model itself"),
 )
+_ENDINGS = {  # of files that do not begin as their tools begin them
+    ".engine": _ENGINE,
+    ".plan": _ENGINE,
+    ".tflite": _LITE,
+    ".pb": _TENSORFLOW,
+    ".xml": _OPENVINO,
+    ".pt": f"no ONNX model, by its name one of PyTorch: {_EXPORT}",
+}
+_IN_FOLDERS = {"saved_model.pb": _TENSORFLOW, "*.xml": _OPENVINO, "*.param": _NCNN}
 _AGAIN = "copy, download or export it again"
 _MOST_FIELDS = 10_000
 _LONGEST_START = 30  # bytes: more than a field's two numbers of at most ten bytes
+_LONGEST_BEGINNING = 200  # bytes, with what tells kinds of files apart
 _MOST_LETTERS = 2000
 # What onnxruntime says before a reason: its own name, the file again, and places in its source.
 _BEFORE_REASONS = re.compile(
@@ -35,6 +60,11 @@ _AFTER_REASONS = re.compile(r" ; GPU=-?\d+ ;.{0,1000}?expr=[^;]*;")  # of CUDA: 
 def kind_of(start: bytes) -> str:
     """What a file with that start is, and what to do about it; empty for a file that may be a model."""
     return next((kind for pattern, kind in _KINDS if re.match(pattern, start)), "")
+
+
+def kind_of_folder(folder: Path) -> str:
+    """What model a folder has, and what to do about it; empty for no folder, and for one without a known model."""
+    return next((kind for name, kind in _IN_FOLDERS.items() if any(folder.glob(name))), "")
 
 
 def explained(error: ModelError) -> ModelError:
@@ -62,7 +92,7 @@ def _defect_of(file: Path) -> str:
     try:
         size = file.stat().st_size
         with file.open("rb") as opened:
-            if kind := kind_of(opened.read(_LONGEST_START)):
+            if kind := kind_of(opened.read(_LONGEST_BEGINNING)) or _ENDINGS.get(file.suffix.lower(), ""):
                 return f"it is {kind}"
             needed = _needed_bytes(opened, size)
     except OSError as error:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Literal
 from upwash.errors import ModelError, UsageError
 from upwash.services.heads import MOST_VALUES
 from upwash.services.model_file import without_places
+from upwash.support.loading import install_extra, pip
 from upwash.support.text import words_of
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def open_session(model: Path, *, threads: int, provider: Provider) -> onnxruntim
         if not is_for_cards:
             raise UsageError(
                 'provider = "cuda" is not in the onnxruntime that is installed; for cuda: '
-                "`pip uninstall onnxruntime`, then `pip install 'upwash[detector-gpu]'`"
+                f"`{pip('uninstall onnxruntime')}`, then `{install_extra('detector-gpu')}`"
             )
         if provider == "auto" and not any(map(os.path.exists, _DEVICES)):
             raise UsageError(

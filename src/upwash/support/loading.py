@@ -7,12 +7,15 @@ import importlib
 import importlib.util
 import shlex
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
 from upwash.errors import UsageError
 from upwash.support.text import worded
+
+_UV_RECEIPT = "uv-receipt.toml"  # of a tool that uv installed
 
 
 def load(program: str) -> object:
@@ -112,14 +115,34 @@ def _load_file(path: Path) -> ModuleType:
 
 @contextlib.contextmanager
 def extra(name: str) -> Iterator[None]:
-    """Import what `pip install 'upwash[name]'` installs; raises UsageError without it."""
+    """Import what an extra of upwash installs; raises UsageError without it."""
     try:
         yield
     except ModuleNotFoundError as error:
-        raise UsageError(
-            f"{error.name} is not installed: `pip install 'upwash[{name}]'` installs it"
-        ) from error
+        raise UsageError(f"{error.name} is not installed: `{install_extra(name)}` installs it") from error
     except ImportError as error:  # it is there, and broken
-        raise UsageError(
-            f"what `pip install 'upwash[{name}]'` installs cannot be imported: {error}"
-        ) from error
+        raise UsageError(f"what `{install_extra(name)}` installs cannot be imported: {error}") from error
+
+
+def install_extra(name: str) -> str:
+    """The command that adds an extra of upwash where it is installed."""
+    receipt = Path(sys.prefix, _UV_RECEIPT)
+    if not receipt.exists():
+        return pip(f"install 'upwash[{name}]'")
+    with contextlib.suppress(
+        OSError, ValueError, LookupError
+    ):  # uv installs only the extras that the command names
+        asked = tomllib.loads(receipt.read_text())["tool"]["requirements"]
+        had = [extra for each in asked if each["name"] == "upwash" for extra in each.get("extras", [])]
+        name = ",".join(dict.fromkeys([*had, name]))
+    return f"uv tool install 'upwash[{name}]'"
+
+
+def pip(words: str) -> str:
+    """The command that has pip do this where upwash is installed: by `uv tool`, pipx or pip itself."""
+    if Path(sys.prefix, _UV_RECEIPT).exists():
+        verb, _, rest = words.partition(" ")
+        return f"uv pip {verb} --python {shlex.quote(sys.prefix)} {rest}"
+    if Path(sys.prefix, "pipx_metadata.json").exists():
+        return f"pipx runpip upwash {words}"
+    return f"pip {words}"
