@@ -144,7 +144,7 @@ class Edge:
             dialer=ModelDialer("s1", Switchboard({})),
             start_timeout_s=60.0,
             drain_s=10.0,
-            certificates=[CertificateStatus("s1", EXPIRES)],
+            certificates=lambda: [CertificateStatus("s1", EXPIRES)],
         )
         self.handle = self.metrics.daemon(self.edge.handle)
 
@@ -262,7 +262,7 @@ async def test_a_drone_that_waits_is_told_as_such_and_refused_once_however_often
         1,
     ]
     at_once = ServerOffer(frozenset({"detector"}), slots=1, turn_s=0.0)
-    await at.edge.reload({"s1": at_once}, images=IMAGES, revoked=frozenset())
+    at.edge.reload({"s1": at_once}, images=IMAGES)
     await at.ask("stork")
     assert await told(at, "upwash_waiting", "upwash_turns_ended_total", "upwash_leases") == [0, 1, 1]
 

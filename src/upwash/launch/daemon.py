@@ -10,6 +10,7 @@ import signal
 import socket
 import tempfile
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,14 +19,18 @@ from upwash.core.admission.admission import AdmissionController, AdmissionSettin
 from upwash.core.admission.clients import Client
 from upwash.errors import Refused, UpwashError, UsageError
 from upwash.launch.confinement import Confinement, find_confinement
-from upwash.launch.daemon_changes import RunningDaemon, offers, take_up
-from upwash.launch.daemon_keys import DaemonKeys, watch_expiry
-from upwash.launch.daemon_services import DaemonServices
+from upwash.launch.daemon_changes import RunningDaemon, take_up
+from upwash.launch.daemon_keys import DaemonKeys, warn_without_list, watch_expiry
+from upwash.launch.daemon_reload import ConfigFile, Reloads, note_services, offers
+from upwash.launch.daemon_services import DaemonServices, Services
+from upwash.launch.in_force import CONFIGURATION, KEYS, REVOCATIONS, InForce
 from upwash.ports import InstanceSpec, Runtime
 from upwash.real.host.log import RateLimitedLog
+from upwash.real.host.orders import Obeyed, taking_orders
 from upwash.real.host.service_manager import ServiceManager
 from upwash.real.host.signals import ending_in_time, on_signal, stopping_politely
 from upwash.real.instances.runtime import ProcessRuntime, sockets_in
+from upwash.real.instances.versions import version_of_upwash
 from upwash.real.link.door import Door, OnTraffic, leading, opened_door
 from upwash.real.link.hand_over import HandedOver
 from upwash.real.link.limits import DoorLimits
@@ -37,6 +42,7 @@ from upwash.server.daemon import EdgeServer
 from upwash.server.instances import Observer
 from upwash.support.background import beside, first, never
 from upwash.support.loading import extra
+from upwash.support.text import printable
 
 if TYPE_CHECKING:
     from upwash.metrics.daemon import DaemonMetrics
@@ -57,24 +63,27 @@ _CLOSING = "this edge server is shutting down"
 
 
 async def serve(
-    config: DaemonConfig,
+    file: Path,
     *,
-    read_again: Callable[[], DaemonConfig],
-    ready: Callable[[str], None],
+    ready: Callable[[str, str], None],
     manager: ServiceManager,
     before: HandedOver | None = None,
 ) -> None:
-    """Run the daemon until SIGTERM or Ctrl-C, which leave calls in progress `drain_s`; `ready` gets its address.
+    """Run the daemon until SIGTERM or Ctrl-C, which leave calls in progress `drain_s`.
 
-    At SIGHUP the configuration is read again. At SIGUSR2 the program on the disk takes the daemon's place, as this
-    daemon takes the place of the daemon `before`.
+    `ready` gets the names of its servers and its address.
+
+    At SIGHUP the `file` of its configuration is read again. At SIGUSR2 the program on the disk takes the daemon's
+    place, as this daemon takes the place of the daemon `before`. Raises UsageError for what cannot work.
     """
+    config_file = ConfigFile(file)
+    config, digest = config_file.read()
     if config.announce:
         with extra("discovery"):
             import upwash.real.network.discovery  # noqa: F401 - before anything is started
     confinement = await find_confinement(config)
-    services = DaemonServices(config, confinement)
-    keys = DaemonKeys(config)
+    keys = DaemonKeys(config, revoked=before.revoked() if before else frozenset())
+    in_force, services = await _at_start(config, digest, confinement, keys)
     loop = asyncio.get_running_loop()
 
     def on_traffic(server: str, drone: str) -> None:  # in the door's own thread
@@ -102,20 +111,24 @@ async def serve(
             peers={peer.name: peer.address for peer in config.peers},
             start_timeout_s=config.start_timeout_s,
             drain_s=config.drain_s,
-            certificates=keys.certificates,
+            certificates=lambda: keys.certificates,
             at_door=lambda: door.refused if door else [],
+            status=in_force.status,
             observer=metrics.observer() if metrics else Observer(),
         )
-        await edge.reload(
-            offers(config, services.images),
-            images=services.images,
-            revoked=keys.revoked,
-            certificates=keys.certificates,
+        edge.revoke(keys.revoked)
+        reloads = Reloads(
+            config_file,
+            config,
+            edge=edge,
+            services=services,
+            keys=keys,
+            door=door,
+            manager=manager,
+            in_force=in_force,
+            pass_on=before.reload if before else lambda: None,
         )
-        hung_up, asked_to_go, stopped = asyncio.Event(), asyncio.Event(), asyncio.Event()
-        stack.enter_context(stopping_politely(lambda _: stopped.set()))
-        stack.enter_context(on_signal(signal.SIGHUP, hung_up.set))
-        stack.enter_context(on_signal(signal.SIGUSR2, asked_to_go.set))
+        asked_to_go, stopped = _signals(stack, reloads)
         stack.push_async_callback(edge.close)
         await take_up(edge, before)
         answering = await stack.enter_async_context(contextlib.AsyncExitStack())
@@ -129,17 +142,16 @@ async def serve(
             await answering.enter_async_context(_exposed(metrics, config, patient=before is not None))
         if config.announce:
             await answering.enter_async_context(_announcing(config, address))
-        if confinement.warning:
-            _log.warning("%s", confinement.warning)
-        ready(address)
+        ready(", ".join(identity.name for identity in config.identities), address)
         manager.ready()
-        daemon = RunningDaemon(config, edge, services, keys, door, outside, manager)
+        daemon = RunningDaemon(config, edge, keys, reloads, outside, manager)
         for name, work in (
             ("the edge server", edge.run()),
-            ("the watch for another configuration", daemon.reload_at(hung_up, read_again)),
+            ("the operator's orders", reloads.run()),
             ("the watch of certificates", watch_expiry(keys)),
         ):
             await stack.enter_async_context(beside(work, name=name))
+        await stack.enter_async_context(taking_orders(partial(_obey, reloads, config_file)))
         await first(stopped.wait(), daemon.hand_over_at(asked_to_go))
         if not stopped.is_set():
             await answering.aclose()
@@ -147,6 +159,43 @@ async def serve(
         in_time(config.drain_s + _ENDING_S)
         manager.stopping("waiting for the calls under way")
         await edge.drain(_CLOSING)
+
+
+async def _at_start(
+    config: DaemonConfig, digest: str, confinement: Confinement, keys: DaemonKeys
+) -> tuple[InForce, DaemonServices]:
+    """What is in force now, with which the log begins, and the services."""
+    in_force = InForce(keys, code=version_of_upwash(), sandbox=confinement.kind(config))
+    in_force.take(CONFIGURATION, digest)
+    in_force.take(KEYS, keys.digest)
+    in_force.take(REVOCATIONS, keys.digest_of_revoked)
+    _log.info("%s", in_force.first_line())
+    if confinement.warning:
+        _log.warning("%s", confinement.warning)
+    warn_without_list(config)
+    services = await DaemonServices.found(config, confinement)
+    note_services(in_force, Services(services.images))
+    return in_force, services
+
+
+def _signals(stack: contextlib.AsyncExitStack, reloads: Reloads) -> tuple[asyncio.Event, asyncio.Event]:
+    """Obey signals until the stack is closed; the events tell that another daemon may come, and to end."""
+    asked_to_go, stopped = asyncio.Event(), asyncio.Event()
+    stack.enter_context(stopping_politely(lambda _: stopped.set()))
+    stack.enter_context(on_signal(signal.SIGHUP, lambda: reloads.ask("SIGHUP")))
+    stack.enter_context(on_signal(signal.SIGUSR2, asked_to_go.set))
+    return asked_to_go, stopped
+
+
+async def _obey(reloads: Reloads, file: ConfigFile, order: str, by: str) -> Obeyed:
+    match order:
+        case "reload":
+            refused = await reloads.ask(by)
+        case "check":
+            refused = await reloads.check()
+        case _:
+            refused = {"order": f"no such order: {printable(order)}"}
+    return Obeyed(refused, str(file.path.absolute()))
 
 
 def keep_heaps_few() -> None:

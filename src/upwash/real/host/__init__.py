@@ -8,6 +8,7 @@ number of lines of each kind, each on one line. The second signal ends what the 
 - log.py               a program's log on standard error
 - clock.py             the computer's clock, set by GPS
 - signals.py           SIGINT, SIGTERM, SIGHUP
+- orders.py            what an operator of the same machine orders
 - service_manager.py   sd_notify(3)
 
 Ugly: libraries write to file descriptor 2 past Python, so a log in JSON reads that back through a pipe.
