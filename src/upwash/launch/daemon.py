@@ -8,7 +8,6 @@ import ctypes
 import logging
 import signal
 import socket
-import tempfile
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from functools import partial
 from pathlib import Path
@@ -27,6 +26,7 @@ from upwash.launch.in_force import CONFIGURATION, KEYS, REVOCATIONS, InForce
 from upwash.ports import InstanceSpec, Runtime
 from upwash.real.host.log import RateLimitedLog
 from upwash.real.host.orders import Obeyed, taking_orders
+from upwash.real.host.scratch import socket_folder
 from upwash.real.host.service_manager import ServiceManager
 from upwash.real.host.signals import ending_in_time, on_signal, stopping_politely
 from upwash.real.instances.runtime import ProcessRuntime, sockets_in
@@ -57,7 +57,8 @@ _LONGEST_ANSWER_S = 600.0  # without a deadline of the caller
 _LAST_ANSWERS_S = 5.0
 _METRICS_S = 0.5  # between two attempts to offer metrics at the address of the daemon before
 _ENDING_S = 30.0  # for all that follows the calls in progress
-logging.getLogger("upwash.usage").addFilter(RateLimitedLog())  # drones may come and go often
+for _name in ("upwash.usage", "upwash.requests"):  # drones may come, go and ask often
+    logging.getLogger(_name).addFilter(RateLimitedLog())
 _M_ARENA_MAX = -8  # from glibc's malloc.h
 _CLOSING = "this edge server is shutting down"
 
@@ -92,7 +93,7 @@ async def serve(
     async with contextlib.AsyncExitStack() as stack:
         in_time = stack.enter_context(ending_in_time())
         outside = stack.enter_context(_listening(config, before)) if keys.credentials else None
-        sockets = Path(stack.enter_context(_folder_for_sockets(config)))
+        sockets = stack.enter_context(socket_folder(_beside_own_socket(config)))
         door = await stack.enter_async_context(_door(keys, on_traffic))
         runtime, lanes = await stack.enter_async_context(_runtime(config, door, sockets, confinement))
         services.know_lanes(lanes)
@@ -251,11 +252,10 @@ def _instance_ports(config: DaemonConfig) -> Mapping[int, int]:
     return {port: port - first + seen_first for port in range(first, last + 1)}
 
 
-def _folder_for_sockets(config: DaemonConfig) -> tempfile.TemporaryDirectory[str]:
-    """A folder for sockets, beside the daemon's own socket: drones call only sockets of that folder."""
+def _beside_own_socket(config: DaemonConfig) -> Path | None:
+    """The folder of the daemon's own socket, if it has one: drones call only sockets below that folder."""
     own = config.listen.removeprefix("unix:")
-    beside = None if own == config.listen else Path(own).absolute().parent
-    return tempfile.TemporaryDirectory(prefix="u-", dir=beside)
+    return None if own == config.listen else Path(own).absolute().parent
 
 
 def _listening(config: DaemonConfig, before: HandedOver | None) -> socket.socket:

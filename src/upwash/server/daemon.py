@@ -22,6 +22,7 @@ from upwash.support.background import beside
 from upwash.support.text import printable
 
 _log = logging.getLogger("upwash.server")
+_requests = logging.getLogger("upwash.requests")
 _LEAST_LOOK_S = 1.0  # between two checks for leases and instances that are due
 _PEER_S = 3.0  # a peer answers at once, over a wire, or is in trouble
 
@@ -194,7 +195,7 @@ class EdgeServer:
                 )
             case Denied(why, waiting, ask_again_s, is_news, pause_s):
                 if is_news:
-                    _log.info("%s: no place for %s: %s", request.server, drone.name, why)
+                    _tell_of(drone, "%s: no place for %s: %s", request.server, drone.name, why)
                 return protocol.AvailabilityReply(
                     available=False,
                     reason=printable(why),
@@ -271,7 +272,14 @@ class EdgeServer:
         )
         await self._instances.perform(commands)
         if denied is not None:
-            _log.info("%s: nothing held for %s: %s", request.server, request.drone, denied.why)
+            _tell_of(
+                peer,
+                "%s: nothing held for %s, as %s asked: %s",
+                request.server,
+                request.drone,
+                peer.name,
+                denied.why,
+            )
             return protocol.HoldReply(held=False, reason=printable(denied.why))
         self._held.set()
         _log.info("%s: a slot is held for %s, as %s asked", request.server, request.drone, peer.name)
@@ -282,6 +290,7 @@ class EdgeServer:
         shown = self._host.show(client, now_s=now_s)
         if isinstance(shown, Denied):
             raise Refused(shown.why)
+        _tell_of(client, "the status was told to %s", client.name)
         servers, refusals = shown
         return protocol.StatusReply(
             up_s=now_s - self._began_s,
@@ -296,3 +305,8 @@ class EdgeServer:
 
     def _now_s(self) -> float:
         return asyncio.get_running_loop().time()
+
+
+def _tell_of(client: Client, text: str, *values: str) -> None:
+    """A line of the log that this client may cause again and again."""
+    _requests.info(text, *values, extra={"whom": client.key})
