@@ -33,7 +33,16 @@ from upwash.metrics.drone import DroneMetrics
 from upwash.metrics.exposition import exposed
 from upwash.ports import AnsweredCall, Instance, InstanceSpec, Program
 from upwash.report.palette import DARK, LIGHT
-from upwash.rpc.protocol import AVAILABILITY, START, AvailabilityRequest, CertificateStatus, StartRequest
+from upwash.rpc.protocol import (
+    AVAILABILITY,
+    START,
+    AvailabilityRequest,
+    CertificateStatus,
+    DaemonStatus,
+    PartStatus,
+    ReloadStatus,
+    StartRequest,
+)
 from upwash.server.daemon import EdgeServer
 from upwash.server.instances import Image
 from upwash.sim.link import ModelDialer, Switchboard
@@ -136,6 +145,20 @@ class Edge:
 
     def __init__(self, runtime: Any) -> None:
         self.metrics = DaemonMetrics()
+        self.status = DaemonStatus(
+            version="1.0",
+            commit="c0ffee",
+            code="ab",
+            sandbox="bubblewrap",
+            time=EXPIRES,
+            clock_is_kept=True,
+            revoked=3,
+            parts={
+                "revocations": PartStatus("0a", EXPIRES),
+                "keys": PartStatus("0b", EXPIRES, "no such file"),
+            },
+            reload=ReloadStatus(EXPIRES, "SIGHUP", EXPIRES),
+        )
         self.edge = EdgeServer(
             AdmissionController({"s1": ServerOffer(frozenset({"detector"}), slots=1)}),
             images=IMAGES,
@@ -145,6 +168,7 @@ class Edge:
             start_timeout_s=60.0,
             drain_s=10.0,
             certificates=lambda: [CertificateStatus("s1", EXPIRES)],
+            status=lambda: self.status,
         )
         self.handle = self.metrics.daemon(self.edge.handle)
 
@@ -247,6 +271,26 @@ async def test_how_the_daemon_stands_is_looked_at_when_it_is_asked() -> None:
     assert elsewhere == 1, "whatever server strangers name, there is one number for it"
     expiry = await asyncio.to_thread(at.total, "upwash_certificate_expiry_timestamp_seconds", holder="s1")
     assert expiry == EXPIRES.timestamp()
+    await at.edge.close()
+
+
+async def test_a_reload_that_refused_a_part_is_offered_with_the_part_and_what_is_in_force() -> None:
+    at = Edge(Ready())
+    at.metrics.look_at(at.edge)
+    parts = [
+        await asyncio.to_thread(at.total, "upwash_reload_refused", part=part)
+        for part in ("revocations", "keys")
+    ]
+    assert parts == [0.0, 1.0]
+    for sample, expected in (
+        ("upwash_reload_successful", 0.0),
+        ("upwash_revoked_certificates", 3.0),
+        ("upwash_clock_kept", 1.0),
+        ("upwash_reload_timestamp_seconds", EXPIRES.timestamp()),
+    ):
+        assert await asyncio.to_thread(at.total, sample) == expected, sample
+    since = await asyncio.to_thread(at.total, "upwash_in_force_since_timestamp_seconds", digest="0a")
+    assert since == EXPIRES.timestamp()
     await at.edge.close()
 
 
@@ -523,7 +567,7 @@ def test_each_alert_is_of_what_is_offered_and_says_what_to_do(samples: dict[str,
     yaml = pytest.importorskip("yaml", reason="nothing here reads YAML")
     groups = yaml.safe_load((ROOT / "deploy/prometheus-alerts.yml").read_text())["groups"]
     rules = [rule for group in groups for rule in group["rules"]]
-    assert len({rule["alert"] for rule in rules}) == len(rules) == 7
+    assert len({rule["alert"] for rule in rules}) == len(rules) == 8
     for rule in rules:
         _, known = asked_by(rule["expr"], samples)
         assert rule["labels"]["severity"] in {"warning", "critical"}

@@ -120,12 +120,10 @@ _FAMILIES: tuple[tuple[type[_Family], str, str, list[str]], ...] = (
     (_G, "daemon_info", "1, for the program that runs", ["version", "commit", "code", "sandbox"]),
     (_G, "clock_kept", "1 if something keeps the clock in time", []),
     (_G, "revoked_certificates", "Certificates that are refused as revoked", []),
-    (_G, "in_force_info", "1, for what is in force of a part", ["part", "digest"]),
-    (_G, "in_force_since_timestamp_seconds", "Since when that is in force, since 1970", ["part"]),
+    (_G, "in_force_since_timestamp_seconds", "Since when a part is in force, since 1970", ["part", "digest"]),
     (_G, "reload_refused", "1 if the last reload left the part as it was", ["part"]),
     (_G, "reload_successful", "1 if the last reload, or the start, refused no part", []),
-    (_G, "reload_timestamp_seconds", "When the last reload was asked for, since 1970", []),
-    (_G, "reload_under_way", "1 while a reload is under way", []),
+    (_G, "reload_timestamp_seconds", "When the last reload was ordered, since 1970", []),
 )
 StateSample = tuple[str, float, tuple[str, ...]]  # its family's name, and the values of the family's labels
 
@@ -189,13 +187,11 @@ def _in_force(daemon: DaemonStatus) -> Iterator[StateSample]:
         yield "clock_kept", daemon.clock_is_kept, ()
     yield "revoked_certificates", daemon.revoked, ()
     for part, status in daemon.parts.items():
-        yield "in_force_info", 1, (part, status.digest)
-        yield "in_force_since_timestamp_seconds", status.since.timestamp(), (part,)
+        yield "in_force_since_timestamp_seconds", status.since.timestamp(), (part, status.digest)
         yield "reload_refused", bool(status.refused), (part,)
     yield "reload_successful", not any(status.refused for status in daemon.parts.values()), ()
     if daemon.reload is not None:
         yield "reload_timestamp_seconds", daemon.reload.asked.timestamp(), ()
-        yield "reload_under_way", daemon.reload.ended is None, ()
 
 
 def _used(whose: str, user: DroneUsage | TeamUsage, values: tuple[str, ...]) -> Iterator[StateSample]:

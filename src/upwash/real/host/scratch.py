@@ -37,11 +37,12 @@ def _made_and_locked(parent: Path) -> tuple[Path, int]:
     """A new folder, and its open lock; another program may take the folder for left before it is locked."""
     while True:
         made = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=parent))
-        lock = _open(made)
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if made.exists():
-            return made, lock
-        os.close(lock)
+        with contextlib.suppress(FileNotFoundError):
+            lock = _open(made)
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if made.exists():
+                return made, lock
+            os.close(lock)
 
 
 def _remove_if_left(folder: Path) -> None:
