@@ -32,27 +32,15 @@ _EXPIRY_LOOK_S = 86_400.0
 class DaemonKeys:
     """The daemon's certificates as they are now: for its door, towards its peers, and in what it tells of itself.
 
-    What the methods `read_...` return is in force once a method `take_...` has it; a failure to read changes nothing.
-    `revoked` are certificates that a daemon before this one refused.
+    What the functions `read_..._of` return is in force once a method `take_...` has it. `revoked` are certificates
+    that the daemon before refused.
     """
 
     def __init__(self, config: DaemonConfig, *, revoked: frozenset[str] = frozenset()) -> None:
         self.revoked = revoked
         self.take_credentials(config, read_credentials_of(config))
         if config.keys:
-            self.revoked = self.read_revoked(config.keys)
-
-    def read_revoked(self, keys: DaemonKeysConfig) -> frozenset[str]:
-        """The certificates of the list; raises CredentialsError, also for a list that has lost all of its entries."""
-        file = keys.list_of_revoked
-        is_there = keys.revoked is not None or os.path.lexists(file)
-        listed = read_revoked(file) if is_there else frozenset[str]()
-        if self.revoked and not listed:
-            what = "has no entry any more" if is_there else "is not there any more"
-            raise CredentialsError(
-                f"{file} {what}: restore it, or restart the daemon if no certificate is revoked from now on"
-            )
-        return listed
+            self.revoked = read_revoked_of(config.keys, revoked)
 
     def take_revoked(self, listed: frozenset[str]) -> None:
         """Refuses exactly these certificates from now on."""
@@ -90,6 +78,19 @@ class DaemonKeys:
         """Whose they are, and until when they are valid."""
         expiries = self.credentials.expiries if self.credentials else {}
         return [CertificateStatus(holder, expires) for holder, expires in expiries.items()]
+
+
+def read_revoked_of(keys: DaemonKeysConfig, known: frozenset[str]) -> frozenset[str]:
+    """The certificates of the list; raises CredentialsError, also for no entry where some were `known`."""
+    file = keys.list_of_revoked
+    is_there = keys.revoked is not None or os.path.lexists(file)
+    listed = read_revoked(file) if is_there else frozenset[str]()
+    if known and not listed:
+        what = "has no entry any more" if is_there else "is not there any more"
+        raise CredentialsError(
+            f"{file} {what}: restore it, or restart the daemon if no certificate is revoked from now on"
+        )
+    return listed
 
 
 def read_credentials_of(config: DaemonConfig) -> Credentials | None:

@@ -16,7 +16,7 @@ import logging
 from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn, Protocol, TypeVar
 
 from msgspec.structs import replace
 
@@ -24,7 +24,7 @@ from upwash.config import DaemonConfig, DaemonKeysConfig, read_daemon_config
 from upwash.core.admission.server import ServerOffer
 from upwash.core.admission.watchdog import CALL_LIMIT_S
 from upwash.errors import UpwashError, UsageError
-from upwash.launch.daemon_keys import DaemonKeys, read_credentials_of, warn_without_list
+from upwash.launch.daemon_keys import DaemonKeys, read_credentials_of, read_revoked_of, warn_without_list
 from upwash.launch.daemon_services import DaemonServices, Services
 from upwash.launch.in_force import CONFIGURATION, KEYS, REVOCATIONS, InForce, revoked_now, service_part
 from upwash.real.host.service_manager import ServiceManager
@@ -40,6 +40,13 @@ T = TypeVar("T")
 _READ_S = 5.0  # for a file of configuration or keys; a disk elsewhere may not answer
 _SOON_S = 1.0  # after which the log says what a reload waits for
 _PACES = 10.0  # a call may take this multiple of the slowest pace
+
+
+class InThread(Protocol):
+    """Does work that may block, in a thread of that name."""
+
+    def __call__(self, work: Callable[[], T], *, name: str) -> Coroutine[Any, Any, T]:
+        """The result of the work, or its failure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +76,7 @@ class Reloads:
         manager: ServiceManager,
         in_force: InForce,
         pass_on: Callable[[], None] = lambda: None,
+        reading: InThread = in_thread,
     ) -> None:
         self.config = config  # in force
         self.is_leaving = False  # another daemon has this one's place: revocations alone count here
@@ -81,6 +89,7 @@ class Reloads:
         self._manager = manager
         self._in_force = in_force
         self._pass_on = pass_on
+        self._reading = reading
         self._listed = config.keys  # where the list of revoked certificates was read last
         self._asked = asyncio.Event()
         self._doing = ""  # what a reload under way waits for
@@ -124,7 +133,10 @@ class Reloads:
         if why:
             refused[CONFIGURATION] = why
         of = self.config if config is None else config[0]
-        for part, read in ((REVOCATIONS, self._read_revoked(of.keys)), (KEYS, self._read_keys(of))):
+        for part, read in (
+            (REVOCATIONS, self._read_revoked(of.keys, self._keys.revoked)),
+            (KEYS, self._read_keys(of)),
+        ):
             _, why = await _tried(read)
             if why:
                 refused[part] = why
@@ -141,12 +153,13 @@ class Reloads:
     async def _reload(self) -> None:
         self._manager.reloading()
         self._doing = "reads the list of revoked certificates"
-        why = await self._renew_revoked(self._listed)
+        known = self._keys.revoked
+        why = await self._renew_revoked(self._listed, known)
         self._doing = "reads the configuration"
         read, refused = await _tried(self._read_config())
         wanted = self.config if read is None else read[0]
         if wanted.keys and self._listed and wanted.keys != self._listed:
-            why = await self._renew_revoked(wanted.keys)
+            why = await self._renew_revoked(wanted.keys, known)
         if why:
             self._in_force.refuse(REVOCATIONS, why)
             _log.error(
@@ -174,9 +187,9 @@ class Reloads:
         self._in_force.refuse(CONFIGURATION, why)
         _log.error("%s; the old configuration stays: %s", self._revoked, why)
 
-    async def _renew_revoked(self, keys: DaemonKeysConfig | None) -> str:
-        """Refuse the certificates of the list; return why it is not read."""
-        listed, why = await _tried(self._read_revoked(keys))
+    async def _renew_revoked(self, keys: DaemonKeysConfig | None, known: frozenset[str]) -> str:
+        """Refuse the certificates of the list; return why the list, which had the `known` ones, is not taken."""
+        listed, why = await _tried(self._read_revoked(keys, known))
         if listed is None:
             return why
         before = self._keys.revoked
@@ -235,15 +248,15 @@ class Reloads:
     # --- what is read -----------------------------------------------------------------------------------------
 
     async def _read_config(self) -> tuple[DaemonConfig, str]:
-        return await _read(self._file.read, what=str(self._file.path))
+        return await self._read(self._file.read, what=str(self._file.path))
 
-    async def _read_revoked(self, keys: DaemonKeysConfig | None) -> frozenset[str]:
+    async def _read_revoked(self, keys: DaemonKeysConfig | None, known: frozenset[str]) -> frozenset[str]:
         if keys is None:
             return frozenset()
-        return await _read(lambda: self._keys.read_revoked(keys), what=str(keys.list_of_revoked))
+        return await self._read(lambda: read_revoked_of(keys, known), what=str(keys.list_of_revoked))
 
     async def _read_keys(self, config: DaemonConfig) -> tuple[Credentials | None]:
-        return (await _read(lambda: read_credentials_of(config), what="the keys"),)
+        return (await self._read(lambda: read_credentials_of(config), what="the keys"),)
 
     async def _look_patiently(self, config: DaemonConfig) -> Services:
         """Look at services, and have the log say which of them are waited for."""
@@ -263,16 +276,15 @@ class Reloads:
             raise UsageError(why)
         return await self._services.anew(config)
 
-
-async def _read(work: Callable[[], T], *, what: str) -> T:
-    """The result of work that reads files; raises UsageError after a time, and leaves its thread behind."""
-    try:
-        async with asyncio.timeout(_READ_S):
-            return await in_thread(work, name=f"reading {what}")
-    except TimeoutError:
-        raise UsageError(f"{what} cannot be read within {_READ_S:g} s: look at its disk") from None
-    except OSError as error:
-        raise UsageError(f"{what} cannot be read: {error.strerror}") from None
+    async def _read(self, work: Callable[[], T], *, what: str) -> T:
+        """The result of work that reads files; raises UsageError after a time, and leaves its thread behind."""
+        try:
+            async with asyncio.timeout(_READ_S):
+                return await self._reading(work, name=f"reading {what}")
+        except TimeoutError:
+            raise UsageError(f"{what} cannot be read within {_READ_S:g} s: look at its disk") from None
+        except OSError as error:
+            raise UsageError(f"{what} cannot be read: {error.strerror}") from None
 
 
 async def _tried(work: Coroutine[Any, Any, T]) -> tuple[T | None, str]:
