@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import os
-from pathlib import Path
 
 import pytest
 
-from upwash.errors import UsageError
+from upwash.errors import UpwashError, UsageError
 from upwash.real.host import orders
 from upwash.real.host.orders import Obeyed, give_order, taking_orders
+
+STRANGER = 12345  # a user
 
 
 async def test_an_order_is_obeyed_with_the_name_of_who_gave_it_and_answered() -> None:
@@ -43,11 +44,11 @@ async def test_a_process_that_answers_in_the_place_of_another_is_not_believed(
             await asyncio.to_thread(give_order, 1, "reload")
 
 
-async def test_another_user_is_not_obeyed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+async def test_another_user_is_not_obeyed(monkeypatch: pytest.MonkeyPatch) -> None:
     async def obey(_order: str, _by: str) -> Obeyed:
         raise AssertionError("it is obeyed")
 
     async with taking_orders(obey):
-        monkeypatch.setattr(orders, "_who", lambda _: (os.getpid(), 12345))
-        with pytest.raises(Exception, match="has not answered"):
+        monkeypatch.setattr(orders, "_who", lambda _: (os.getpid(), STRANGER))
+        with pytest.raises(UpwashError, match="has not answered"):
             await asyncio.to_thread(give_order, os.getpid(), "reload")

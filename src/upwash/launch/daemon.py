@@ -30,7 +30,6 @@ from upwash.real.host.scratch import socket_folder
 from upwash.real.host.service_manager import ServiceManager
 from upwash.real.host.signals import ending_in_time, on_signal, stopping_politely
 from upwash.real.instances.runtime import ProcessRuntime, sockets_in
-from upwash.real.instances.versions import version_of_upwash
 from upwash.real.link.door import Door, OnTraffic, leading, opened_door
 from upwash.real.link.hand_over import HandedOver
 from upwash.real.link.limits import DoorLimits
@@ -166,16 +165,16 @@ async def _at_start(
     config: DaemonConfig, digest: str, confinement: Confinement, keys: DaemonKeys
 ) -> tuple[InForce, DaemonServices]:
     """What is in force now, with which the log begins, and the services."""
-    in_force = InForce(keys, code=version_of_upwash(), sandbox=confinement.kind(config))
+    services = await DaemonServices.found(config, confinement)
+    in_force = InForce(keys, code=services.upwash, sandbox=confinement.kind(config))
     in_force.take(CONFIGURATION, digest)
     in_force.take(KEYS, keys.digest)
     in_force.take(REVOCATIONS, keys.digest_of_revoked)
+    note_services(in_force, Services(services.images))
     _log.info("%s", in_force.first_line())
     if confinement.warning:
         _log.warning("%s", confinement.warning)
     warn_without_list(config)
-    services = await DaemonServices.found(config, confinement)
-    note_services(in_force, Services(services.images))
     return in_force, services
 
 

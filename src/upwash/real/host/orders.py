@@ -78,18 +78,17 @@ def give_order(process: int, order: str) -> Obeyed:
     with socket.socket(socket.AF_UNIX) as to:
         try:
             to.connect(_address(process))
-            if _who(to)[0] != process:
-                raise UsageError(
-                    f"another process answers in the place of process {process}: give it no orders"
-                )
-            to.sendall(f"{order}\n".encode())
-            with to.makefile("rb") as answer:
-                said = answer.read()
         except OSError as error:
             raise UsageError(
                 f"process {process} takes no orders ({error.strerror}): give the number of a daemon's process, "
                 "which systemctl show --property MainPID upwash prints"
             ) from None
+        if _who(to)[0] != process:
+            raise UsageError(f"another process answers in the place of process {process}: give it no orders")
+        said = b""
+        with contextlib.suppress(OSError), to.makefile("rb") as answer:
+            to.sendall(f"{order}\n".encode())
+            said = answer.read()
     try:
         return msgspec.json.decode(said, type=Obeyed)
     except msgspec.MsgspecError:
