@@ -164,7 +164,7 @@ async def serve(
 async def _at_start(
     config: DaemonConfig, digest: str, confinement: Confinement, keys: DaemonKeys
 ) -> tuple[InForce, DaemonServices]:
-    """What is in force now, with which the log begins, and the services."""
+    """What is in force now, and the services; the log begins with what is in force."""
     services = await DaemonServices.found(config, confinement)
     in_force = InForce(keys, code=services.upwash, sandbox=confinement.kind(config))
     in_force.take(CONFIGURATION, digest)

@@ -2,9 +2,9 @@
 
 Laws:
 - every order has an answer in the log at once, and a last line that says what was taken and what was refused;
-- revocations come first, then keys, each whatever becomes of the other and of the configuration;
+- revocations come first, then keys; neither waits for the other or for the configuration to be right;
 - nothing that an operator names is waited for without limit, and code of services runs in processes of its own;
-- an order that comes while another is under way ends that one, and does all of it;
+- a new order ends the order that is under way, and does all of it;
 - a part that is refused stays as it was.
 """
 
@@ -79,7 +79,7 @@ class Reloads:
         reading: InThread = in_thread,
     ) -> None:
         self.config = config  # in force
-        self.is_leaving = False  # another daemon has this one's place: revocations alone count here
+        self.is_leaving = False  # another daemon has the place of this daemon: revocations alone count
         self.count = 0
         self._file = file
         self._edge = edge

@@ -62,7 +62,7 @@ class DaemonServices:
 
     @classmethod
     async def found(cls, config: DaemonConfig, confinement: Confinement) -> DaemonServices:
-        """The services of the configuration; raises UsageError for one that cannot be loaded in `start_timeout_s`."""
+        """The services of the configuration; raises UsageError for a service that cannot be loaded."""
         services = cls(confinement)
         services.take(config, await services.anew(config))
         return services

@@ -111,6 +111,6 @@ def revoked_now(count: int) -> str:
 
 
 def clock_state(status: DaemonStatus) -> str:
-    """Whether something keeps the daemon's clock in time."""
+    """Whether a program keeps the daemon's clock in time."""
     kept = {True: "is kept in time", False: "nothing keeps it in time", None: "it is unknown what keeps it"}
     return kept[status.clock_is_kept]

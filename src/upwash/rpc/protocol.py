@@ -183,7 +183,7 @@ class PartStatus(msgspec.Struct, frozen=True):
 
 
 class ReloadStatus(msgspec.Struct, frozen=True):
-    """The last reload: when it was asked for and by whom, and when it ended; None while it is under way."""
+    """The last reload: when and `by` whom it was ordered, and when it ended; None while it is under way."""
 
     asked: Time
     by: NameText
@@ -191,12 +191,12 @@ class ReloadStatus(msgspec.Struct, frozen=True):
 
 
 class DaemonStatus(msgspec.Struct, frozen=True):
-    """Which program a daemon runs, by which clock, and which of the operator's orders are in force.
+    """The program of a daemon, its clock, and the operator's orders that are in force.
 
     `parts` are "revocations", "keys", "configuration", and "service NAME" for each service. Their digests are those
     of the sorted fingerprints, of the authority's and the certificate's file, of the file, and of the service's code
     and files.
-    `clock_is_kept` is whether something, such as NTP, keeps the clock in time; None if that is not known.
+    `clock_is_kept` is whether a program, such as NTP, keeps the clock in time; None if the kernel does not report.
     """
 
     version: NameText

@@ -99,7 +99,7 @@ class Instances:
         self._observer = observer
         self._failed = failed
         self._lives: dict[int, _Life] = {}  # by instance number, until the life and its ending are over
-        self._telling = set[asyncio.Task[None]]()  # instances of what nobody waits for
+        self._telling = set[asyncio.Task[None]]()  # commands that are carried out beside
 
     def outdated(self, images: Mapping[str, Image]) -> frozenset[tuple[str, str]]:
         """The servers and services whose instance is of another version than these images."""

@@ -3,8 +3,8 @@
 A drone keeps an instance busy for a share of its time: the duration of a call, of the time between two of its calls.
 As many drones fit as there are such shares in the lanes of the instance. Waiting behind other calls is not counted,
 or a crowd would make room for a larger crowd. Before it is measured the share is a quarter: most drones fly for
-longer than they call. The number is at most that of the drones whose calls are remembered, as nobody has measured
-more.
+longer than they call. The number is at most the number of drones whose calls are remembered: no larger crowd is
+measured.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _SHARE = 0.25  # until it is measured
 _LEAST_CALLS = 2  # of one drone, for a measured share
 _WEIGHT = 0.2  # of the latest call in a drone's share
 _MOST_DRONES = 64  # whose shares count, the latest
-_FEW = 0.02  # a share that is told with a decimal
+_FEW = 0.02  # a share that is written with a decimal
 
 
 @dataclass(slots=True)

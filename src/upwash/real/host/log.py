@@ -95,7 +95,7 @@ class RateLimitedLog(logging.Filter):
     """Lets five lines a second through, 50 after a rest; the next line has the number of those left out.
 
     Of one client, which a line names by `extra={"whom": client}`, a line comes through at once, and others after
-    pauses that double from 1 s to 1 h. A client of which there was no line for an hour begins anew.
+    pauses that double from 1 s to 1 h. After an hour without a line of the client its pauses begin at 1 s again.
     """
 
     def __init__(self, *, now_s: Callable[[], float] = time.monotonic) -> None:
