@@ -92,6 +92,7 @@ async def serve(
     async with contextlib.AsyncExitStack() as stack:
         in_time = stack.enter_context(ending_in_time())
         outside = stack.enter_context(_listening(config, before)) if keys.credentials else None
+        _begin_log(config, confinement, in_force)
         sockets = stack.enter_context(socket_folder(_beside_own_socket(config)))
         door = await stack.enter_async_context(_door(keys, on_traffic))
         runtime, lanes = await stack.enter_async_context(_runtime(config, door, sockets, confinement))
@@ -164,18 +165,21 @@ async def serve(
 async def _at_start(
     config: DaemonConfig, digest: str, confinement: Confinement, keys: DaemonKeys
 ) -> tuple[InForce, DaemonServices]:
-    """What is in force now, and the services; the log begins with what is in force."""
+    """What is in force now, and the services."""
     services = await DaemonServices.found(config, confinement)
     in_force = InForce(keys, code=services.upwash, sandbox=confinement.kind(config))
     in_force.take(CONFIGURATION, digest)
     in_force.take(KEYS, keys.digest)
     in_force.take(REVOCATIONS, keys.digest_of_revoked)
     note_services(in_force, Services(services.images))
+    return in_force, services
+
+
+def _begin_log(config: DaemonConfig, confinement: Confinement, in_force: InForce) -> None:
     _log.info("%s", in_force.first_line())
     if confinement.warning:
         _log.warning("%s", confinement.warning)
     warn_without_list(config)
-    return in_force, services
 
 
 def _signals(stack: contextlib.AsyncExitStack, reloads: Reloads) -> tuple[asyncio.Event, asyncio.Event]:
