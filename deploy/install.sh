@@ -25,7 +25,9 @@ fail() {
 
 [ -n "$root" ] || [ "$(id -u)" -eq 0 ] || fail "this needs root: sudo $0 $name $keys"
 command -v apt-get >/dev/null || fail "no apt-get here: this is for Debian; docs/operators.md has the steps for others"
-case $name in *[!A-Za-z0-9._-]* | "") fail "the name of a server has letters, digits, '.', '_' and '-', not \"$name\"" ;; esac
+case $name in [!A-Za-z0-9]* | *[!A-Za-z0-9._-]* | "")
+    fail "the name of a server has letters, digits, '.', '_' and '-', first a letter or a digit, not \"$name\"" ;;
+esac
 case ${3:-detector} in detector | detector-gpu) ;; *) fail "the third word is detector or detector-gpu, not \"$3\"" ;; esac
 for file in authority.pem "$name.pem" "$name.key"; do
     [ -f "$keys/$file" ] || [ -f "$settings/keys/$file" ] ||

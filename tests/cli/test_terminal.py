@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ from upwash.cli.status import print_status
 from upwash.core.admission.admission import AdmissionController
 from upwash.core.admission.clients import Client
 from upwash.core.admission.server import ServerOffer
-from upwash.rpc.protocol import StatusReply
+from upwash.rpc.protocol import DaemonStatus, PartStatus, ReloadStatus, StatusReply
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 WIDE = 400
@@ -148,7 +149,23 @@ def test_the_state_of_a_daemon_fits_a_narrow_terminal(drones: int) -> None:
     host.at("s1").ready("scale", 1, "unix:/run/upwash/services/scale.sock", now_s=1.0)
     for name in names:
         host.availability("s1", ["scale"], Client(name), now_s=2.0)
-    reply = StatusReply(up_s=9.0, servers=host.servers(now_s=3.0), refusals=[], certificates=[])
+    now = datetime(2026, 11, 29, tzinfo=UTC)
+    why = "/etc/upwash/keys/revoked.txt has no entry any more: restore it, or restart the daemon"
+    runs = DaemonStatus(
+        version="1.0",
+        commit="c0ffee" * 6,
+        code="0a" * 32,
+        sandbox="bubblewrap",
+        time=now,
+        clock_is_kept=None,
+        revoked=1,
+        parts={
+            "revocations": PartStatus("0b" * 32, now, why),
+            "service scale": PartStatus("0c" * 32, now),
+        },
+        reload=ReloadStatus(now, "process 1 of user upwash", now),
+    )
+    reply = StatusReply(9.0, host.servers(now_s=3.0), refusals=[], certificates=[], daemon=runs)
     assert_all_fits(lambda console: print_status(reply, console))
 
 

@@ -40,18 +40,14 @@ def test_every_printed_value_is_read(tmp_path: Path) -> None:
 def test_a_list_of_revoked_certificates_beside_the_authority_is_meant_without_being_named(
     tmp_path: Path,
 ) -> None:
-    (tmp_path / "keys").mkdir()
-    beside = tmp_path / "keys/revoked.txt"
-    assert _revoked(tmp_path, KEYS) is None
-    beside.touch()
-    assert _revoked(tmp_path, KEYS) == beside
+    assert _revoked(tmp_path, KEYS) == tmp_path / "keys/revoked.txt"
     assert _revoked(tmp_path, f'{KEYS}revoked = "mine.txt"\n') == tmp_path / "mine.txt"
 
 
 def _revoked(tmp_path: Path, keys: str) -> Path | None:
     config = read(tmp_path, keys + REST)
     assert config.keys is not None
-    return config.keys.revoked
+    return config.keys.list_of_revoked
 
 
 def test_what_a_file_leaves_out_has_the_printed_defaults(tmp_path: Path) -> None:

@@ -109,6 +109,14 @@ def test_of_many_drones_the_64_that_called_last_count() -> None:
     assert slots.count == 8, "d1 called before d0"
 
 
+@pytest.mark.parametrize(("lanes", "count"), [(1, 64), (100, 100)])
+def test_there_are_no_more_slots_than_drones_can_be_measured_or_lanes(lanes: int, count: int) -> None:
+    slots = MeasuredSlots({"detector": lanes})
+    calls(slots, "d1", every_s=100.0, took_s=0.1)
+    assert slots.count == count
+    assert "0.1 % of its time, and no more drones are measured at once" in slots.why
+
+
 def test_time_without_a_slot_is_not_counted_as_a_drones_pace() -> None:
     slots = MeasuredSlots({"detector": 1})
     calls(slots, "d1", every_s=9.0, took_s=0.6)

@@ -155,7 +155,7 @@ async def test_a_reload_with_a_limit_that_would_not_hold_is_refused(tmp_path: Pa
     config = read(tmp_path)
     config = replace(config, images=config.images[1:])  # the bundled detector
     confinement = Confinement(unenforced={"cpus": "there is no taskset"})
-    services = DaemonServices(config, confinement)
+    services = await DaemonServices.found(config, confinement)
     limited = replace(config, images=(replace(config.images[0], cpus=1),))
     with pytest.raises(
         UsageError, match='cpus of service "detector" would have no effect: there is no taskset'

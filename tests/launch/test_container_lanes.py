@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from upwash.config import DaemonConfig, read_daemon_config
 from upwash.core.admission.slots import MeasuredSlots
 from upwash.launch import containers
 from upwash.launch.daemon import serve
@@ -72,15 +71,15 @@ class Told(ServiceManager):
 
 
 @pytest.fixture
-def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> DaemonConfig:
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     make_keys(tmp_path, servers=[["s1"]], operators=["alice"])
     monkeypatch.setattr(containers, "Engine", lambda _: Engine())
     (tmp_path / "server.toml").write_text(CONFIG)
-    return read_daemon_config(tmp_path / "server.toml")
+    return tmp_path / "server.toml"
 
 
 def test_until_it_is_measured_a_server_has_slots_by_the_lanes_of_its_images(
-    config: DaemonConfig, tmp_path: Path
+    file: Path, tmp_path: Path
 ) -> None:
     async def slots(address: str) -> int:
         (server,) = (await ask_status(address, server="s1", operator="alice", keys=tmp_path)).servers
@@ -90,7 +89,7 @@ def test_until_it_is_measured_a_server_has_slots_by_the_lanes_of_its_images(
         manager, found = Told(), list[int]()
         address = asyncio.get_running_loop().create_future()
         daemon = asyncio.create_task(
-            serve(config, read_again=lambda: config, ready=address.set_result, manager=manager)
+            serve(file, ready=lambda _, known: address.set_result(known), manager=manager)
         )
         try:
             found.append(await slots(await address))

@@ -14,9 +14,8 @@ from typing import Any, NoReturn
 
 import pytest
 
-from upwash.config import read_daemon_config
 from upwash.launch import daemon, daemon_changes
-from upwash.launch.daemon_changes import RunningDaemon
+from upwash.launch.daemon_reload import Reloads
 from upwash.real.host.service_manager import ServiceManager
 from upwash.real.trust.authority import make_keys
 from upwash.server.daemon import EdgeServer
@@ -53,19 +52,13 @@ async def fail(*_: Any, **__: Any) -> NoReturn:
     raise LookupError("a defect")
 
 
-def serve(text: str, folder: Path, ready: Callable[[str], None] = lambda _: None) -> None:
+def serve(text: str, folder: Path, ready: Callable[[str, str], None] = lambda *_: None) -> None:
     file = folder / "daemon.toml"
     file.write_text(text.format(folder=folder))
-    config = read_daemon_config(file)
 
     async def main() -> None:
         async with asyncio.timeout(20.0):
-            await daemon.serve(
-                config,
-                read_again=lambda: config,
-                ready=ready,
-                manager=ServiceManager(""),
-            )
+            await daemon.serve(file, ready=ready, manager=ServiceManager(""))
 
     asyncio.run(main())
 
@@ -78,7 +71,7 @@ def test_a_daemon_whose_background_fails_ends_with_that_failure(
         case "edge":
             monkeypatch.setattr(EdgeServer, "run", fail)
         case "reload":
-            monkeypatch.setattr(RunningDaemon, "reload_at", fail)
+            monkeypatch.setattr(Reloads, "run", fail)
         case "expiry":
             monkeypatch.setattr(daemon, "watch_expiry", fail)
     with pytest.raises(LookupError, match="a defect"):
@@ -116,7 +109,7 @@ def test_a_defect_in_handing_over_leaves_the_daemon_serving(
 
     logging.getLogger("upwash.serving").addHandler(stopper := StaysThenStops())
     try:
-        serve(WITH_KEYS, tmp_path, ready=lambda _: os.kill(os.getpid(), signal.SIGUSR2))
+        serve(WITH_KEYS, tmp_path, ready=lambda *_: os.kill(os.getpid(), signal.SIGUSR2))
     finally:
         logging.getLogger("upwash.serving").removeHandler(stopper)
     assert "this daemon stays: a defect in handing over" in caplog.text

@@ -33,7 +33,16 @@ from upwash.metrics.drone import DroneMetrics
 from upwash.metrics.exposition import exposed
 from upwash.ports import AnsweredCall, Instance, InstanceSpec, Program
 from upwash.report.palette import DARK, LIGHT
-from upwash.rpc.protocol import AVAILABILITY, START, AvailabilityRequest, CertificateStatus, StartRequest
+from upwash.rpc.protocol import (
+    AVAILABILITY,
+    START,
+    AvailabilityRequest,
+    CertificateStatus,
+    DaemonStatus,
+    PartStatus,
+    ReloadStatus,
+    StartRequest,
+)
 from upwash.server.daemon import EdgeServer
 from upwash.server.instances import Image
 from upwash.sim.link import ModelDialer, Switchboard
@@ -136,6 +145,20 @@ class Edge:
 
     def __init__(self, runtime: Any) -> None:
         self.metrics = DaemonMetrics()
+        self.status = DaemonStatus(
+            version="1.0",
+            commit="c0ffee",
+            code="ab",
+            sandbox="bubblewrap",
+            time=EXPIRES,
+            clock_is_kept=True,
+            revoked=3,
+            parts={
+                "revocations": PartStatus("0a", EXPIRES),
+                "keys": PartStatus("0b", EXPIRES, "no such file"),
+            },
+            reload=ReloadStatus(EXPIRES, "SIGHUP", EXPIRES),
+        )
         self.edge = EdgeServer(
             AdmissionController({"s1": ServerOffer(frozenset({"detector"}), slots=1)}),
             images=IMAGES,
@@ -144,7 +167,8 @@ class Edge:
             dialer=ModelDialer("s1", Switchboard({})),
             start_timeout_s=60.0,
             drain_s=10.0,
-            certificates=[CertificateStatus("s1", EXPIRES)],
+            certificates=lambda: [CertificateStatus("s1", EXPIRES)],
+            status=lambda: self.status,
         )
         self.handle = self.metrics.daemon(self.edge.handle)
 
@@ -250,6 +274,26 @@ async def test_how_the_daemon_stands_is_looked_at_when_it_is_asked() -> None:
     await at.edge.close()
 
 
+async def test_a_reload_that_refused_a_part_is_offered_with_the_part_and_what_is_in_force() -> None:
+    at = Edge(Ready())
+    at.metrics.look_at(at.edge)
+    parts = [
+        await asyncio.to_thread(at.total, "upwash_reload_refused", part=part)
+        for part in ("revocations", "keys")
+    ]
+    assert parts == [0.0, 1.0]
+    for sample, expected in (
+        ("upwash_reload_successful", 0.0),
+        ("upwash_revoked_certificates", 3.0),
+        ("upwash_clock_kept", 1.0),
+        ("upwash_reload_timestamp_seconds", EXPIRES.timestamp()),
+    ):
+        assert await asyncio.to_thread(at.total, sample) == expected, sample
+    since = await asyncio.to_thread(at.total, "upwash_in_force_since_timestamp_seconds", digest="0a")
+    assert since == EXPIRES.timestamp()
+    await at.edge.close()
+
+
 async def test_a_drone_that_waits_is_told_as_such_and_refused_once_however_often_it_asks() -> None:
     at = Edge(Ready())
     at.metrics.look_at(at.edge)
@@ -262,7 +306,7 @@ async def test_a_drone_that_waits_is_told_as_such_and_refused_once_however_often
         1,
     ]
     at_once = ServerOffer(frozenset({"detector"}), slots=1, turn_s=0.0)
-    await at.edge.reload({"s1": at_once}, images=IMAGES, revoked=frozenset())
+    at.edge.reload({"s1": at_once}, images=IMAGES)
     await at.ask("stork")
     assert await told(at, "upwash_waiting", "upwash_turns_ended_total", "upwash_leases") == [0, 1, 1]
 
@@ -523,7 +567,7 @@ def test_each_alert_is_of_what_is_offered_and_says_what_to_do(samples: dict[str,
     yaml = pytest.importorskip("yaml", reason="nothing here reads YAML")
     groups = yaml.safe_load((ROOT / "deploy/prometheus-alerts.yml").read_text())["groups"]
     rules = [rule for group in groups for rule in group["rules"]]
-    assert len({rule["alert"] for rule in rules}) == len(rules) == 7
+    assert len({rule["alert"] for rule in rules}) == len(rules) == 8
     for rule in rules:
         _, known = asked_by(rule["expr"], samples)
         assert rule["labels"]["severity"] in {"warning", "critical"}

@@ -391,6 +391,9 @@ def test_a_certificate_whose_files_are_gone_is_revoked_by_its_fingerprint(tmp_pa
     colons = ":".join(re.findall("..", heron.fingerprint.upper()))
     assert read_revoked(revoke(tmp_path, [colons])) == {heron.fingerprint}
     assert read_revoked(revoke(tmp_path, [heron.fingerprint])) == {heron.fingerprint}
+    assert "of a holder whose certificate is not here, revoked" in (tmp_path / "revoked.txt").read_text()
+    (_, stork) = made_in(tmp_path)
+    assert f"{stork.fingerprint}  stork, revoked" in revoke(tmp_path, [stork.fingerprint]).read_text()
     for name in ("heron", heron.fingerprint[:16], "", f"{heron.fingerprint}0"):
         with pytest.raises(UsageError, match="64 digits of a SHA-256 fingerprint"):
             revoke(tmp_path, [name])

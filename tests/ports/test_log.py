@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import subprocess
 import sys
 
 import msgspec
 import pytest
+
+from upwash.real.host.log import RateLimitedLog
 
 PROGRAM = r"""
 import logging, sys
@@ -39,3 +42,26 @@ def test_a_message_is_one_line() -> None:
     first, second, *_ = map(msgspec.json.decode, filter(None, logged("json")))
     assert first["message"] == SHOWN
     assert r"ValueError: \x1b[2J\x9b31m\u202e" in second["traceback"]
+
+
+def test_a_client_that_is_refused_for_a_day_fills_no_log_and_hides_nobody_else() -> None:
+    now_s = 0.0
+    limit = RateLimitedLog(now_s=lambda: now_s)
+
+    def passes(whom: str) -> bool:
+        record = logging.makeLogRecord({"msg": "refused %s", "args": (whom,), "whom": whom})
+        if limit.filter(record):
+            written.append(record.getMessage())
+            return True
+        return False
+
+    written: list[str] = []
+    for second in range(0, 86_400, 5):
+        now_s = float(second)
+        passes("heron")
+    assert len(written) < 40
+    assert written[0] == "refused heron"
+    assert "left out before it" in written[-1]
+    assert passes("stork")
+    now_s += 3601.0
+    assert passes("heron"), "after an hour of silence"

@@ -356,6 +356,7 @@ def test_keys_says_what_is_left_to_do_with_a_list_and_with_another_authority(
         ((), "name at least one --server, --drone or --operator"),
         (("--drone", "../heron"), '"../heron" cannot be a name'),
         (("--drone", ""), '"" cannot be a name'),
+        (("--drone", ".."), '".." cannot be a name'),
         (("--server", "s1,,s2"), '"" cannot be a name'),
         (("--server", "s1", "--drone", "s1"), '"s1" is named twice'),
     ],

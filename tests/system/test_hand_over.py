@@ -15,7 +15,7 @@ from tests.system.flying import Flying
 from tests.waiting import wait_for
 
 from upwash.launch.status import ask_status
-from upwash.real.trust.authority import make_keys
+from upwash.real.trust.authority import make_keys, revoke
 
 pytestmark = [pytest.mark.system, pytest.mark.xdist_group("hand-over")]
 
@@ -69,6 +69,29 @@ async def test_twenty_drones_call_on_while_the_daemon_is_changed_for_another(
                 assert not is_alive(before)
                 assert is_alive(after)
         finally:
+            os.kill(new, signal.SIGTERM)
+            wait_for(lambda: not is_alive(new))
+
+
+async def test_a_drone_that_is_revoked_after_a_change_is_refused_by_the_daemon_before_too(
+    tmp_path: Path, services: Path, own_keys: Path
+) -> None:
+    with daemon(tmp_path, config(own_keys, lease_s=60.0)) as at:
+        drone = Flying(DRONES[0], at.address, own_keys, f"{services}:Workbench")
+        enough, here = asyncio.Event(), asyncio.Event()
+        flight = asyncio.create_task(drone.fly(enough, here.set))
+        await here.wait()
+        at.process.send_signal(signal.SIGUSR2)
+        await asyncio.to_thread(at.has_said, r"process (\d+) has taken this daemon's place")
+        new = int(re.findall(r"process (\d+) has taken this daemon's place", at.said())[0])
+        try:
+            revoke(own_keys, [DRONES[0]])
+            os.kill(new, signal.SIGHUP)
+            await asyncio.to_thread(wait_for, lambda: at.process.poll() == 0, within_s=20.0, seen=at.said)
+            assert at.said().count("1 certificates are revoked, 0 of them since before") == 2
+        finally:
+            flight.cancel()
+            await asyncio.gather(flight, return_exceptions=True)
             os.kill(new, signal.SIGTERM)
             wait_for(lambda: not is_alive(new))
 

@@ -97,12 +97,13 @@ class Machine:
         self.process = self.daemon.pid
 
     def reload(self) -> str:
-        """Does as the unit's ExecReload, and returns what the log says of it."""
+        """Runs the unit's ExecReload, and returns what the log says of it."""
         assert self.daemon is not None
         log = self.folder / "log"
         known = len(log.read_text())
-        os.kill(self.process, signal.SIGHUP)
-        wait_for(lambda: "configuration" in log.read_text()[known:], within_s=20.0, seen=log.read_text)
+        unit = (self.folder / "etc/systemd/system/upwash.service").read_text()
+        (command,) = re.findall(r"^ExecReload=(.*)$", unit, re.MULTILINE)
+        self.run(command.replace("$MAINPID", str(self.process)))
         return log.read_text()[known:]
 
     def change(self) -> str:

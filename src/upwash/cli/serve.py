@@ -1,59 +1,86 @@
-"""upwash serve: runs an edge daemon."""
+"""upwash serve: runs an edge daemon, and gives one its orders."""
 
 from __future__ import annotations
 
 import argparse
 import asyncio
-import logging
 import os
 import resource
+from collections.abc import Mapping
+from pathlib import Path
 
-from upwash.cli.arguments import announce, config_of, option, require_linux
-from upwash.config import DaemonConfig, read_daemon_config
+from upwash.cli.arguments import OneOf, announce, config_of, option, require_linux
+from upwash.errors import UsageError
 from upwash.launch.daemon import keep_heaps_few, serve
+from upwash.launch.daemon_check import check
 from upwash.real.host.log import log_json, log_text
+from upwash.real.host.orders import give_order
 from upwash.real.host.service_manager import ServiceManager
 from upwash.real.link.hand_over import handed_over
 
-_log = logging.getLogger("upwash.serve")
-
+_MOST_PROCESS = 2**22  # of Linux
 
 ARGUMENTS = {
     **config_of("daemon"),
     "--log-format": option("of the log on standard error", choices=("text", "json"), default="text"),
+    "orders": OneOf(
+        {
+            "--check RUNNING": option(
+                "print what a start or a reload would refuse and what needs a restart, and end with code 1 then; "
+                "RUNNING is what runs now: the daemon's process number, or the file of its configuration",
+                nargs="?",
+                const="",
+            ),
+            "--reload PROCESS": option(
+                "have the daemon of that process reload, wait for that, and end with code 1 if it refuses a part",
+                type=int,
+            ),
+        }
+    ),
 }
 
 
-def run(options: argparse.Namespace) -> None:
-    """Serve until a signal ends it."""
+def run(options: argparse.Namespace) -> bool:
+    """Serve until a signal ends it; or give an order, print what is refused, and return whether nothing is."""
     require_linux("serve")
+    if options.reload is not None:
+        return _ordered(options.reload, "reload", options.config)
+    if options.check is not None:
+        running = options.check
+        if running.isdecimal():
+            return _ordered(int(running), "check", options.config)
+        return _tell(asyncio.run(check(options.config, Path(running) if running else None)))
     before = handed_over(os.environ)
     service_manager = os.environ.pop("NOTIFY_SOCKET", "")  # instances do not report to the service manager
     keep_heaps_few()
-    config = read_daemon_config(options.config)
     (log_json if options.log_format == "json" else log_text)()
     # Each connection is an open file: as many as the system allows, or a thousand strangers would keep drones out.
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
-    _warn_without_revocations(config)
-    names = ", ".join(identity.name for identity in config.identities)
     asyncio.run(
         serve(
-            config,
-            read_again=lambda: _warn_without_revocations(read_daemon_config(options.config)),
-            ready=lambda address: announce(f"{names} ready at {address}"),
+            options.config,
+            ready=lambda names, address: announce(f"{names} ready at {address}"),
             manager=ServiceManager(service_manager),
             before=before,
         )
     )
+    return True
 
 
-def _warn_without_revocations(config: DaemonConfig) -> DaemonConfig:
-    """Warn where no list of revoked certificates is read: revoking a certificate changes nothing here."""
-    if config.keys and not config.keys.revoked:
-        _log.warning(
-            "no list of revoked certificates is read: put the revoked.txt of `upwash keys DIR --revoke NAME` beside "
-            "%s, or name it as keys.revoked; until then no certificate can be taken back",
-            config.keys.authority,
-        )
-    return config
+def _ordered(process: int, order: str, config: Path) -> bool:
+    """Have the daemon of that process, whose configuration is the file, obey an order; print what it refuses."""
+    if not 1 <= process <= _MOST_PROCESS:
+        raise UsageError(f"{process} is no number of a process")
+    obeyed = give_order(process, order)
+    if Path(obeyed.file).resolve() != config.resolve():
+        raise UsageError(f"the daemon of process {process} has another configuration: name {obeyed.file}")
+    return _tell(obeyed.refused)
+
+
+def _tell(refused: Mapping[str, str]) -> bool:
+    for part, why in refused.items():
+        announce(f"refused: {part}: {why}")
+    if not refused:
+        announce("nothing is refused")
+    return not refused

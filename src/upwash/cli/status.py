@@ -24,13 +24,15 @@ from upwash.core.admission.clients import (
 )
 from upwash.core.admission.limits import Limits
 from upwash.launch.status import ask_status
-from upwash.rpc.protocol import CertificateStatus, StatusReply
+from upwash.real.trust.credentials import at_second
+from upwash.rpc.protocol import CertificateStatus, DaemonStatus, ReloadStatus, StatusReply
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
 from upwash.support.text import counted
 
 _SOON_DAYS = 30
 _MOST_SHOWN = 20
+_DIGITS = 12  # of a hash
 _USAGE = ("slots in all", "calls", "computing", "last call")
 _STATE_STYLES = {"running": "green", "starting": "yellow", "stopping": "yellow"}
 
@@ -62,6 +64,8 @@ def run(options: argparse.Namespace) -> None:
 def print_status(status: StatusReply, console: Console) -> None:
     """Print the servers with drones and instances, the limits, the last refusals, and the certificates' ends."""
     say(f"up for {_duration(status.up_s)}", console)
+    if status.daemon is not None:
+        _print_daemon(status.daemon, console)
     if status.closing:
         say(Text(status.closing, style="bold red"), console)
     for server in status.servers:
@@ -76,6 +80,37 @@ def print_status(status: StatusReply, console: Console) -> None:
             console,
         )
     _print_certificates(status.certificates, console)
+
+
+def _print_daemon(daemon: DaemonStatus, console: Console) -> None:
+    """Print which program runs, what is in force since when, and what the last reload refused."""
+    commit = f" (commit {daemon.commit[:_DIGITS]})" if daemon.commit else ""
+    clock = {True: "kept in time", False: "not kept in time", None: "perhaps kept in time"}
+    say(
+        Text(f"upwash {daemon.version}{commit}, code {daemon.code[:_DIGITS]}, sandbox {daemon.sandbox}"),
+        console,
+    )
+    say(f"its clock says {at_second(daemon.time)}, and is {clock[daemon.clock_is_kept]}", console)
+    table = _table("in force", "hash", "since", "")
+    for part, status in daemon.parts.items():
+        revoked = counted(daemon.revoked, "certificate") if part == "revocations" else ""
+        table.add_row(Text(part), status.digest[:_DIGITS], at_second(status.since), revoked)
+    show_table(table, console)
+    if daemon.reload is not None:
+        _print_reload(daemon.reload, {part: known.refused for part, known in daemon.parts.items()}, console)
+
+
+def _print_reload(reload: ReloadStatus, refused: Mapping[str, str], console: Console) -> None:
+    asked = f"last reload: {at_second(reload.asked)}, as {reload.by} ordered"
+    if reload.ended is None:
+        say(Text(f"{asked}: it is under way", style="yellow"), console)
+    elif any(refused.values()):
+        say(Text(f"{asked}: refused in part", style="bold red"), console)
+    else:
+        say(Text(f"{asked}: all was read"), console)
+    for part, why in refused.items():
+        if why:
+            say(Text(f"  {part}: the old stays: {why}", style="bold red"), console)
 
 
 def _print_server(server: ServerStatus, console: Console) -> None:
@@ -118,7 +153,7 @@ def _holders(server: ServerStatus) -> Iterator[str]:
         since = ""
         if account is not None and account.holds_s is not None:
             since = f"has a slot for {_duration(account.holds_s)}, {_counts_as(account)}; "
-        certificate = f", certificate {lease.certificate[:16]}" if lease.certificate else ""
+        certificate = f", certificate {lease.certificate}" if lease.certificate else ""
         held = f", held as {lease.held_by} asked" if lease.held_by else ""
         yield f"{lease.drone}: {since}lease ends in {_duration(lease.ends_in_s)}{certificate}{held}"
 

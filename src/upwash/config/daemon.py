@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 from msgspec import Meta, Struct
-from msgspec.structs import replace
 
 from upwash.config import values
 from upwash.config.problems import Problem, metrics_problems, name_problems, unknown
@@ -37,6 +36,11 @@ class DaemonKeysConfig(values.KeysConfig, frozen=True, kw_only=True, forbid_unkn
 
     revoked: values.FilePath | None = None
     """The list of certificates that are refused; default: `revoked.txt` beside `authority`, if it is there."""
+
+    @property
+    def list_of_revoked(self) -> Path:
+        """The list's file, which need not be there unless it is named."""
+        return self.revoked or self.authority.with_name(_REVOKED)
 
 
 class ImageConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -160,11 +164,6 @@ def daemon_config(document: Document, file: Path) -> DaemonConfig:
     tables = _written_out(document, file.absolute().parent)
     config = convert(tables, DaemonConfig, file=file, as_written=document)
     refuse_first(file, _problems(config))
-    keys = config.keys
-    if keys is not None and keys.revoked is None:
-        beside = keys.authority.with_name(_REVOKED)
-        if beside.exists():
-            return replace(config, keys=replace(keys, revoked=beside))
     return config
 
 

@@ -33,6 +33,12 @@ class Confinement:
     warning: str = ""
     unenforced: Mapping[str, str] = field(default_factory=dict)
 
+    def kind(self, config: DaemonConfig) -> str:
+        """What keeps services in, in a word or two."""
+        if config.runtime.kind != "process":
+            return config.runtime.kind
+        return "none" if self.sandbox is None else "bubblewrap"
+
     def limits(self, config: DaemonConfig) -> dict[str, Limits]:
         """The limits of each service; raises UsageError for a limit of the configuration that would not hold."""
         return {

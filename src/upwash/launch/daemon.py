@@ -8,8 +8,8 @@ import ctypes
 import logging
 import signal
 import socket
-import tempfile
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,11 +18,15 @@ from upwash.core.admission.admission import AdmissionController, AdmissionSettin
 from upwash.core.admission.clients import Client
 from upwash.errors import Refused, UpwashError, UsageError
 from upwash.launch.confinement import Confinement, find_confinement
-from upwash.launch.daemon_changes import RunningDaemon, offers, take_up
-from upwash.launch.daemon_keys import DaemonKeys, watch_expiry
-from upwash.launch.daemon_services import DaemonServices
+from upwash.launch.daemon_changes import RunningDaemon, take_up
+from upwash.launch.daemon_keys import DaemonKeys, warn_without_list, watch_expiry
+from upwash.launch.daemon_reload import ConfigFile, Reloads, note_services, offers
+from upwash.launch.daemon_services import DaemonServices, Services
+from upwash.launch.in_force import CONFIGURATION, KEYS, REVOCATIONS, InForce
 from upwash.ports import InstanceSpec, Runtime
 from upwash.real.host.log import RateLimitedLog
+from upwash.real.host.orders import Obeyed, taking_orders
+from upwash.real.host.scratch import socket_folder
 from upwash.real.host.service_manager import ServiceManager
 from upwash.real.host.signals import ending_in_time, on_signal, stopping_politely
 from upwash.real.instances.runtime import ProcessRuntime, sockets_in
@@ -37,6 +41,7 @@ from upwash.server.daemon import EdgeServer
 from upwash.server.instances import Observer
 from upwash.support.background import beside, first, never
 from upwash.support.loading import extra
+from upwash.support.text import printable
 
 if TYPE_CHECKING:
     from upwash.metrics.daemon import DaemonMetrics
@@ -51,30 +56,34 @@ _LONGEST_ANSWER_S = 600.0  # without a deadline of the caller
 _LAST_ANSWERS_S = 5.0
 _METRICS_S = 0.5  # between two attempts to offer metrics at the address of the daemon before
 _ENDING_S = 30.0  # for all that follows the calls in progress
-logging.getLogger("upwash.usage").addFilter(RateLimitedLog())  # drones may come and go often
+for _name in ("upwash.usage", "upwash.requests"):  # drones may come, go and ask often
+    logging.getLogger(_name).addFilter(RateLimitedLog())
 _M_ARENA_MAX = -8  # from glibc's malloc.h
 _CLOSING = "this edge server is shutting down"
 
 
 async def serve(
-    config: DaemonConfig,
+    file: Path,
     *,
-    read_again: Callable[[], DaemonConfig],
-    ready: Callable[[str], None],
+    ready: Callable[[str, str], None],
     manager: ServiceManager,
     before: HandedOver | None = None,
 ) -> None:
-    """Run the daemon until SIGTERM or Ctrl-C, which leave calls in progress `drain_s`; `ready` gets its address.
+    """Run the daemon until SIGTERM or Ctrl-C, which leave calls in progress `drain_s`.
 
-    At SIGHUP the configuration is read again. At SIGUSR2 the program on the disk takes the daemon's place, as this
-    daemon takes the place of the daemon `before`.
+    `ready` gets the names of its servers and its address.
+
+    At SIGHUP the `file` of its configuration is read again. At SIGUSR2 the program on the disk takes the daemon's
+    place, as this daemon takes the place of the daemon `before`. Raises UsageError for what cannot work.
     """
+    config_file = ConfigFile(file)
+    config, digest = config_file.read()
     if config.announce:
         with extra("discovery"):
             import upwash.real.network.discovery  # noqa: F401 - before anything is started
     confinement = await find_confinement(config)
-    services = DaemonServices(config, confinement)
-    keys = DaemonKeys(config)
+    keys = DaemonKeys(config, revoked=before.revoked() if before else frozenset())
+    in_force, services = await _at_start(config, digest, confinement, keys)
     loop = asyncio.get_running_loop()
 
     def on_traffic(server: str, drone: str) -> None:  # in the door's own thread
@@ -83,7 +92,8 @@ async def serve(
     async with contextlib.AsyncExitStack() as stack:
         in_time = stack.enter_context(ending_in_time())
         outside = stack.enter_context(_listening(config, before)) if keys.credentials else None
-        sockets = Path(stack.enter_context(_folder_for_sockets(config)))
+        _begin_log(config, confinement, in_force)
+        sockets = stack.enter_context(socket_folder(_beside_own_socket(config)))
         door = await stack.enter_async_context(_door(keys, on_traffic))
         runtime, lanes = await stack.enter_async_context(_runtime(config, door, sockets, confinement))
         services.know_lanes(lanes)
@@ -102,20 +112,24 @@ async def serve(
             peers={peer.name: peer.address for peer in config.peers},
             start_timeout_s=config.start_timeout_s,
             drain_s=config.drain_s,
-            certificates=keys.certificates,
+            certificates=lambda: keys.certificates,
             at_door=lambda: door.refused if door else [],
+            status=in_force.status,
             observer=metrics.observer() if metrics else Observer(),
         )
-        await edge.reload(
-            offers(config, services.images),
-            images=services.images,
-            revoked=keys.revoked,
-            certificates=keys.certificates,
+        edge.revoke(keys.revoked)
+        reloads = Reloads(
+            config_file,
+            config,
+            edge=edge,
+            services=services,
+            keys=keys,
+            door=door,
+            manager=manager,
+            in_force=in_force,
+            pass_on=before.reload if before else lambda: None,
         )
-        hung_up, asked_to_go, stopped = asyncio.Event(), asyncio.Event(), asyncio.Event()
-        stack.enter_context(stopping_politely(lambda _: stopped.set()))
-        stack.enter_context(on_signal(signal.SIGHUP, hung_up.set))
-        stack.enter_context(on_signal(signal.SIGUSR2, asked_to_go.set))
+        asked_to_go, stopped = _signals(stack, reloads)
         stack.push_async_callback(edge.close)
         await take_up(edge, before)
         answering = await stack.enter_async_context(contextlib.AsyncExitStack())
@@ -129,17 +143,16 @@ async def serve(
             await answering.enter_async_context(_exposed(metrics, config, patient=before is not None))
         if config.announce:
             await answering.enter_async_context(_announcing(config, address))
-        if confinement.warning:
-            _log.warning("%s", confinement.warning)
-        ready(address)
+        ready(", ".join(identity.name for identity in config.identities), address)
         manager.ready()
-        daemon = RunningDaemon(config, edge, services, keys, door, outside, manager)
+        daemon = RunningDaemon(config, edge, keys, reloads, outside, manager)
         for name, work in (
             ("the edge server", edge.run()),
-            ("the watch for another configuration", daemon.reload_at(hung_up, read_again)),
+            ("the operator's orders", reloads.run()),
             ("the watch of certificates", watch_expiry(keys)),
         ):
             await stack.enter_async_context(beside(work, name=name))
+        await stack.enter_async_context(taking_orders(partial(_obey, reloads, config_file)))
         await first(stopped.wait(), daemon.hand_over_at(asked_to_go))
         if not stopped.is_set():
             await answering.aclose()
@@ -147,6 +160,46 @@ async def serve(
         in_time(config.drain_s + _ENDING_S)
         manager.stopping("waiting for the calls under way")
         await edge.drain(_CLOSING)
+
+
+async def _at_start(
+    config: DaemonConfig, digest: str, confinement: Confinement, keys: DaemonKeys
+) -> tuple[InForce, DaemonServices]:
+    """What is in force now, and the services."""
+    services = await DaemonServices.found(config, confinement)
+    in_force = InForce(keys, code=services.upwash, sandbox=confinement.kind(config))
+    in_force.take(CONFIGURATION, digest)
+    in_force.take(KEYS, keys.digest)
+    in_force.take(REVOCATIONS, keys.digest_of_revoked)
+    note_services(in_force, Services(services.images))
+    return in_force, services
+
+
+def _begin_log(config: DaemonConfig, confinement: Confinement, in_force: InForce) -> None:
+    _log.info("%s", in_force.first_line())
+    if confinement.warning:
+        _log.warning("%s", confinement.warning)
+    warn_without_list(config)
+
+
+def _signals(stack: contextlib.AsyncExitStack, reloads: Reloads) -> tuple[asyncio.Event, asyncio.Event]:
+    """Obey signals until the stack is closed; the events tell that another daemon may come, and to end."""
+    asked_to_go, stopped = asyncio.Event(), asyncio.Event()
+    stack.enter_context(stopping_politely(lambda _: stopped.set()))
+    stack.enter_context(on_signal(signal.SIGHUP, lambda: reloads.ask("SIGHUP")))
+    stack.enter_context(on_signal(signal.SIGUSR2, asked_to_go.set))
+    return asked_to_go, stopped
+
+
+async def _obey(reloads: Reloads, file: ConfigFile, order: str, by: str) -> Obeyed:
+    match order:
+        case "reload":
+            refused = await reloads.ask(by)
+        case "check":
+            refused = await reloads.check()
+        case _:
+            refused = {"order": f"no such order: {printable(order)}"}
+    return Obeyed(refused, str(file.path.absolute()))
 
 
 def keep_heaps_few() -> None:
@@ -202,11 +255,10 @@ def _instance_ports(config: DaemonConfig) -> Mapping[int, int]:
     return {port: port - first + seen_first for port in range(first, last + 1)}
 
 
-def _folder_for_sockets(config: DaemonConfig) -> tempfile.TemporaryDirectory[str]:
-    """A folder for sockets, beside the daemon's own socket: drones call only sockets of that folder."""
+def _beside_own_socket(config: DaemonConfig) -> Path | None:
+    """The folder of the daemon's own socket, if it has one: drones call only sockets below that folder."""
     own = config.listen.removeprefix("unix:")
-    beside = None if own == config.listen else Path(own).absolute().parent
-    return tempfile.TemporaryDirectory(prefix="u-", dir=beside)
+    return None if own == config.listen else Path(own).absolute().parent
 
 
 def _listening(config: DaemonConfig, before: HandedOver | None) -> socket.socket:

@@ -1,7 +1,7 @@
 """The services that an edge daemon can start, as they lie on the disk, looked at again at each reload.
 
-A Python process keeps the modules that it has imported. So a new version is loaded by a process of its own:
-`python -m upwash.launch.daemon_services`. The effects of an import end with that process.
+The daemon imports no code of services: a process of its own does, `python -m upwash.launch.daemon_services`, for each
+service. A Python process keeps the modules that it has imported, and an import may hang or end its process.
 """
 
 from __future__ import annotations
@@ -11,10 +11,11 @@ import contextlib
 import logging
 import os
 import pickle
+import signal
 import subprocess
 import sys
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import msgspec
@@ -28,6 +29,7 @@ from upwash.ports import Program
 from upwash.real.instances.versions import version_of, version_of_upwash
 from upwash.rpc.service import spec_of
 from upwash.server.instances import Image
+from upwash.support.background import in_thread
 from upwash.support.loading import look_here, module_command
 
 _log = logging.getLogger("upwash.serving")
@@ -35,69 +37,83 @@ _UPGRADED = (
     "upwash itself has changed on the disk, so services stay as they are: have the new program take this daemon's "
     "place by SIGUSR2, or restart it"
 )
+_REAPED_S = 0.2  # a killed process may wait in the kernel for a disk that does not answer
 Looked: TypeAlias = Image | str  # a service, or why it cannot be loaded
+
+
+@dataclass(frozen=True, slots=True)
+class Services:
+    """The services of a configuration, and of those that stay in their former version why."""
+
+    images: Mapping[str, Image]
+    stay: Mapping[str, str] = field(default_factory=dict)
 
 
 class DaemonServices:
     """What the daemon can start now."""
 
-    def __init__(self, config: DaemonConfig, confinement: Confinement) -> None:
-        self._upwash = version_of_upwash()
+    def __init__(self, confinement: Confinement) -> None:
+        self.upwash = version_of_upwash()
         self._confinement = confinement
-        limits, devices = confinement.limits(config), confinement.devices(config)
         self._lanes: Mapping[str, int] = {}
-        self._named = {service.name: _named(service) for service in config.images}
+        self._named: dict[str, tuple[object, ...]] = {}
         self.images: dict[str, Image] = {}
-        for index, service in enumerate(config.images):
-            found = _look_at(config, index)
-            if isinstance(found, str):
-                raise UsageError(found)
-            self.images[service.name] = replace(
-                found, limits=limits[service.name], devices=devices[service.name]
-            )
+        self.looking = set[str]()  # services whose code is loaded just now
+
+    @classmethod
+    async def found(cls, config: DaemonConfig, confinement: Confinement) -> DaemonServices:
+        """The services of the configuration; raises UsageError for a service that cannot be loaded."""
+        services = cls(confinement)
+        services.take(config, await services.anew(config))
+        return services
 
     def know_lanes(self, lanes: Mapping[str, int]) -> None:
         """Takes in the lanes of those services whose programs only their runtime knows."""
         self._lanes = lanes
         self.images = self._with_lanes(self.images)
 
-    async def anew(self, config: DaemonConfig) -> dict[str, Image]:
-        """The services of another configuration, and of what lies on the disk now.
+    async def anew(self, config: DaemonConfig) -> Services:
+        """The services of another configuration, and of what lies on the disk now, within `start_timeout_s`.
 
-        A version that cannot be loaded is logged, and the former stays. Raises UsageError where the configuration
-        names another program or other settings that do not fit, for a limit that would not hold, and for a device
-        that is not here.
+        The former version of a service stays where another cannot be loaded. Raises UsageError where the
+        configuration names another program or other settings that do not fit, for a limit that would not hold, and
+        for a device that is not here.
         """
         limits, devices = self._confinement.limits(config), self._confinement.devices(config)
         is_loaded = config.runtime.kind == "process"
         if not is_loaded:
             _log.info("images of containers are looked at when the daemon starts: restart it to use others")
-        is_upgraded = is_loaded and await asyncio.to_thread(version_of_upwash) != self._upwash
-        images = {}
-        for index, service in enumerate(config.images):
-            found: Looked = _UPGRADED
-            if not is_upgraded:
-                found = await _looked_at_elsewhere(config, index) if is_loaded else _look_at(config, index)
-            if isinstance(found, Image):
-                images[service.name] = replace(
-                    found, limits=limits[service.name], devices=devices[service.name]
-                )
-                continue
-            if self._named.get(service.name) != _named(service):
-                raise UsageError(found)
-            images[service.name] = self.images[service.name]
-            if not is_upgraded:
-                _log.error("%s stays in its former version: %s", service.name, found)
-        if is_upgraded:
-            _log.error(_UPGRADED)
-        return self._with_lanes(images)
+        looks = range(len(config.images))
+        found: list[Looked] = [_UPGRADED for _ in looks]
+        if not is_loaded:
+            found = [_look_at(config, index) for index in looks]
+        elif await in_thread(version_of_upwash, name="the version of upwash") == self.upwash:
+            found = await asyncio.gather(*(self._looked_at_elsewhere(config, index) for index in looks))
+        images, stay = dict[str, Image](), dict[str, str]()
+        for service, looked in zip(config.images, found, strict=True):
+            name = service.name
+            if isinstance(looked, Image):
+                images[name] = replace(looked, limits=limits[name], devices=devices[name])
+            elif self._named.get(name) != _named(service):
+                raise UsageError(looked)
+            else:
+                images[name], stay[name] = self.images[name], looked
+        return Services(self._with_lanes(images), stay)
 
-    def take(self, config: DaemonConfig, images: Mapping[str, Image]) -> list[str]:
+    def take(self, config: DaemonConfig, services: Services) -> list[str]:
         """From now on these are the services of this configuration; returns the names of those that changed."""
-        changed = [name for name, image in images.items() if self.images.get(name) != image]
+        changed = [name for name, image in services.images.items() if self.images.get(name) != image]
         self._named = {service.name: _named(service) for service in config.images}
-        self.images = dict(images)
+        self.images = dict(services.images)
         return changed
+
+    async def _looked_at_elsewhere(self, config: DaemonConfig, index: int) -> Looked:
+        name = config.images[index].name
+        self.looking.add(name)
+        try:
+            return await _looked_at_elsewhere(config, index)
+        finally:
+            self.looking.discard(name)
 
     def _with_lanes(self, images: Mapping[str, Image]) -> dict[str, Image]:
         return {
@@ -118,13 +134,15 @@ async def _looked_at_elsewhere(config: DaemonConfig, index: int) -> Looked:
             said, _ = await process.communicate(pickle.dumps((config, index)))
         looked: Looked = msgspec.msgpack.decode(said, type=Looked)
     except TimeoutError:
-        looked = f"it is not loaded within {config.start_timeout_s:g} s"
+        looked = f"{config.images[index].name} is not loaded within {config.start_timeout_s:g} s"
     except msgspec.MsgspecError:
         looked = f"the process that loads it ended with code {await process.wait()}"
     finally:
         with contextlib.suppress(ProcessLookupError):
-            process.kill()
-        await process.wait()
+            os.killpg(process.pid, signal.SIGKILL)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_REAPED_S):
+                await process.wait()
     return looked
 
 

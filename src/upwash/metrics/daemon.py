@@ -16,7 +16,16 @@ from upwash.core.admission.instances import InstanceState
 from upwash.errors import Refused
 from upwash.metrics import CALL_S
 from upwash.ports import AnsweredCall, InstanceSpec
-from upwash.rpc.protocol import AVAILABILITY, DENY, HOLD, LEAVE, PREPARE, START, STATUS
+from upwash.rpc.protocol import (
+    AVAILABILITY,
+    DENY,
+    HOLD,
+    LEAVE,
+    PREPARE,
+    START,
+    STATUS,
+    DaemonStatus,
+)
 from upwash.server.daemon import EdgeServer, Snapshot
 from upwash.server.instances import Observer
 
@@ -86,9 +95,10 @@ class DaemonMetrics:
         self.registry.register(_DaemonState(edge, asyncio.get_running_loop()))
 
 
+_Family = GaugeMetricFamily | CounterMetricFamily
 _G, _C = GaugeMetricFamily, CounterMetricFamily
 _DRONE, _TEAM = ["server", "drone", "team"], ["server", "team"]
-_FAMILIES = (
+_FAMILIES: tuple[tuple[type[_Family], str, str, list[str]], ...] = (
     (_G, "slots", "Drones that the server takes at once", ["server"]),
     (_G, "leases", "Drones that have a slot", ["server"]),
     (_G, "slots_held", "Slots held for a drone on its way", ["server"]),
@@ -107,6 +117,13 @@ _FAMILIES = (
     (_C, "refusals", "Clients refused, with a reason", ["server"]),
     (_C, "door_refusals", "Connections refused before any request", ["reason"]),
     (_G, "certificate_expiry_timestamp_seconds", "When the certificate ends, since 1970", ["holder"]),
+    (_G, "daemon_info", "1, for the program that runs", ["version", "commit", "code", "sandbox"]),
+    (_G, "clock_kept", "1 if something keeps the clock in time", []),
+    (_G, "revoked_certificates", "Certificates that are refused as revoked", []),
+    (_G, "in_force_since_timestamp_seconds", "Since when a part is in force, since 1970", ["part", "digest"]),
+    (_G, "reload_refused", "1 if the last reload left the part as it was", ["part"]),
+    (_G, "reload_successful", "1 if the last reload, or the start, refused no part", []),
+    (_G, "reload_timestamp_seconds", "When the last reload was ordered, since 1970", []),
 )
 StateSample = tuple[str, float, tuple[str, ...]]  # its family's name, and the values of the family's labels
 
@@ -160,6 +177,21 @@ def _samples(standing: Snapshot) -> Iterator[StateSample]:
         yield "door_refusals", at_door.get(reason, 0), (reason,)
     for known in standing.certificates:
         yield "certificate_expiry_timestamp_seconds", known.expires.timestamp(), (known.holder,)
+    if standing.daemon is not None:
+        yield from _in_force(standing.daemon)
+
+
+def _in_force(daemon: DaemonStatus) -> Iterator[StateSample]:
+    yield "daemon_info", 1, (daemon.version, daemon.commit, daemon.code, daemon.sandbox)
+    if daemon.clock_is_kept is not None:
+        yield "clock_kept", daemon.clock_is_kept, ()
+    yield "revoked_certificates", daemon.revoked, ()
+    for part, status in daemon.parts.items():
+        yield "in_force_since_timestamp_seconds", status.since.timestamp(), (part, status.digest)
+        yield "reload_refused", bool(status.refused), (part,)
+    yield "reload_successful", not any(status.refused for status in daemon.parts.values()), ()
+    if daemon.reload is not None:
+        yield "reload_timestamp_seconds", daemon.reload.asked.timestamp(), ()
 
 
 def _used(whose: str, user: DroneUsage | TeamUsage, values: tuple[str, ...]) -> Iterator[StateSample]:

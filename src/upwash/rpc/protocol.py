@@ -59,6 +59,8 @@ Endpoints = Annotated[dict[NameText, Endpoint], Meta(max_length=255)]
 Seconds = Annotated[float, Meta(ge=0, le=_MOST_S)]
 Lease = Annotated[float, Meta(ge=LEAST_LEASE_S, le=_MOST_S)]
 Waiting = Annotated[int, Meta(ge=0, le=65_535)]  # drones that wait for a slot
+Time = Annotated[datetime, Meta(tz=True)]
+Digest = Annotated[str, Meta(max_length=64)]  # of SHA-256, in hexadecimal digits
 
 
 class AvailabilityRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -166,14 +168,53 @@ class CertificateStatus(msgspec.Struct, frozen=True):
     """A certificate that the daemon uses, and its expiry."""
 
     holder: NameText
-    expires: Annotated[datetime, Meta(tz=True)]
+    expires: Time
+
+
+class PartStatus(msgspec.Struct, frozen=True):
+    """What is in force of one part of the operator's orders, and since when.
+
+    `refused` is why the last reload left the part as it was; it is empty after a reload that read the part.
+    """
+
+    digest: Digest
+    since: Time
+    refused: Reason = ""
+
+
+class ReloadStatus(msgspec.Struct, frozen=True):
+    """The last reload: when and `by` whom it was ordered, and when it ended; None while it is under way."""
+
+    asked: Time
+    by: NameText
+    ended: Time | None = None
+
+
+class DaemonStatus(msgspec.Struct, frozen=True):
+    """The program of a daemon, its clock, and the operator's orders that are in force.
+
+    `parts` are "revocations", "keys", "configuration", and "service NAME" for each service. Their digests are those
+    of the sorted fingerprints, of the authority's and the certificate's file, of the file, and of the service's code
+    and files.
+    `clock_is_kept` is whether a program, such as NTP, keeps the clock in time; None if the kernel does not report.
+    """
+
+    version: NameText
+    commit: NameText
+    code: Digest
+    sandbox: NameText
+    time: Time
+    clock_is_kept: bool | None
+    revoked: Annotated[int, Meta(ge=0, le=2**20)]
+    parts: Annotated[dict[NameText, PartStatus], Meta(max_length=511)] = {}
+    reload: ReloadStatus | None = None
 
 
 class StatusReply(msgspec.Struct, frozen=True):
     """The daemon's servers, its last refusals, its certificates, and how long it has run.
 
-    `at_door` are connections that were refused before any request; `limits` hold for each instance of a service.
-    Replies of earlier daemons lack both.
+    `at_door` are connections that were refused before any request; `limits` hold for each instance of a service;
+    `daemon` is what runs and is in force. Replies of earlier daemons lack these.
     """
 
     up_s: Annotated[float, Meta(ge=0, le=_LONGEST_UP_S)]
@@ -183,6 +224,7 @@ class StatusReply(msgspec.Struct, frozen=True):
     closing: Reason = ""
     at_door: list[DoorStatus] = []
     limits: dict[NameText, Limits] = {}
+    daemon: DaemonStatus | None = None
 
 
 def service_path(service: str, method: str) -> str:

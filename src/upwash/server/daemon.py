@@ -22,13 +22,14 @@ from upwash.support.background import beside
 from upwash.support.text import printable
 
 _log = logging.getLogger("upwash.server")
+_requests = logging.getLogger("upwash.requests")
 _LEAST_LOOK_S = 1.0  # between two checks for leases and instances that are due
 _PEER_S = 3.0  # a peer answers at once, over a wire, or is in trouble
 
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """The state of a daemon: its servers, how often each refused, and its certificates.
+    """The state of a daemon: its servers, how often each refused, its certificates, and what is in force.
 
     `at_door` counts connections that were refused before any request.
     """
@@ -37,6 +38,7 @@ class Snapshot:
     refused: Mapping[str, int]
     certificates: Sequence[protocol.CertificateStatus]
     at_door: Sequence[DoorStatus]
+    daemon: protocol.DaemonStatus | None
 
 
 class EdgeServer:
@@ -52,8 +54,9 @@ class EdgeServer:
         start_timeout_s: float,
         drain_s: float,
         peers: Mapping[str, str] = MappingProxyType({}),
-        certificates: Sequence[protocol.CertificateStatus] = (),
+        certificates: Callable[[], Sequence[protocol.CertificateStatus]] = tuple,
         at_door: Callable[[], Sequence[DoorStatus]] = tuple,
+        status: Callable[[], protocol.DaemonStatus | None] = lambda: None,
         observer: Observer = UNOBSERVED,
     ) -> None:
         self._host = host
@@ -61,6 +64,7 @@ class EdgeServer:
         self._dialer = dialer
         self._peers = peers  # the address of each
         self._certificates = certificates
+        self._status_of_daemon = status
         self._began_s = self._now_s()
         self._held = asyncio.Event()  # a slot, perhaps for less than a lease
         self._defect: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -92,20 +96,15 @@ class EdgeServer:
         request, answer = self._routes[path]
         return msgspec.msgpack.encode(await answer(protocol.decode_request(body, request), client))
 
-    async def reload(
-        self,
-        offers: Mapping[str, ServerOffer],
-        *,
-        images: Mapping[str, Image],
-        revoked: frozenset[str],
-        certificates: Sequence[protocol.CertificateStatus] = (),
-    ) -> None:
-        """Replace the offers of the daemon's servers, and the revoked certificates."""
-        self._certificates = certificates
+    def revoke(self, certificates: frozenset[str]) -> None:
+        """Refuse exactly these certificates from now on; a slow instance hears of it later."""
+        self._instances.perform_beside(self._host.revoke(certificates, now_s=self._now_s()))
+
+    def reload(self, offers: Mapping[str, ServerOffer], *, images: Mapping[str, Image]) -> None:
+        """Replace the offers of the daemon's servers from now on; instances start and stop meanwhile."""
         self._instances.images = images
         outdated = self._instances.outdated(images)
-        await self._instances.perform(self._host.revoke(revoked, now_s=self._now_s()))
-        await self._instances.perform(self._host.offer(offers, outdated=outdated))
+        self._instances.perform_beside(self._host.offer(offers, outdated=outdated))
 
     async def take_up(self, server: str, drones: Sequence[Client], services: Sequence[str]) -> None:
         """Serve the drones of another daemon; returns when the services that ran there run here.
@@ -130,8 +129,9 @@ class EdgeServer:
         return Snapshot(
             self._host.servers(now_s=self._now_s()),
             dict(self._host.refused_times),
-            self._certificates,
+            self._certificates(),
             self._at_door(),
+            self._status_of_daemon(),
         )
 
     def seen(self, server: str, drone: str) -> None:
@@ -195,7 +195,7 @@ class EdgeServer:
                 )
             case Denied(why, waiting, ask_again_s, is_news, pause_s):
                 if is_news:
-                    _log.info("%s: no place for %s: %s", request.server, drone.name, why)
+                    _tell_of(drone, "%s: no place for %s: %s", request.server, drone.name, why)
                 return protocol.AvailabilityReply(
                     available=False,
                     reason=printable(why),
@@ -272,7 +272,14 @@ class EdgeServer:
         )
         await self._instances.perform(commands)
         if denied is not None:
-            _log.info("%s: nothing held for %s: %s", request.server, request.drone, denied.why)
+            _tell_of(
+                peer,
+                "%s: nothing held for %s, as %s asked: %s",
+                request.server,
+                request.drone,
+                peer.name,
+                denied.why,
+            )
             return protocol.HoldReply(held=False, reason=printable(denied.why))
         self._held.set()
         _log.info("%s: a slot is held for %s, as %s asked", request.server, request.drone, peer.name)
@@ -283,16 +290,23 @@ class EdgeServer:
         shown = self._host.show(client, now_s=now_s)
         if isinstance(shown, Denied):
             raise Refused(shown.why)
+        _tell_of(client, "the status was told to %s", client.name)
         servers, refusals = shown
         return protocol.StatusReply(
             up_s=now_s - self._began_s,
             servers=servers,
             refusals=refusals,
-            certificates=list(self._certificates),
+            certificates=list(self._certificates()),
             closing=self._host.closing,
             at_door=list(self._at_door()),
             limits={service: image.limits for service, image in self._instances.images.items()},
+            daemon=self._status_of_daemon(),
         )
 
     def _now_s(self) -> float:
         return asyncio.get_running_loop().time()
+
+
+def _tell_of(client: Client, text: str, *values: str) -> None:
+    """A line of the log that this client may cause again and again."""
+    _requests.info(text, *values, extra={"whom": client.key})

@@ -17,7 +17,7 @@ from upwash.core.admission.server import Command, HostedServer
 from upwash.core.admission.usage import LeaseEnded
 from upwash.errors import InstanceError, NotReadyInTime
 from upwash.ports import AnsweredCall, Instance, InstanceSpec, Program, Runtime
-from upwash.support.background import beside, start
+from upwash.support.background import beside, end, start
 
 _log = logging.getLogger("upwash.server")
 _usage = logging.getLogger("upwash.usage")
@@ -99,6 +99,7 @@ class Instances:
         self._observer = observer
         self._failed = failed
         self._lives: dict[int, _Life] = {}  # by instance number, until the life and its ending are over
+        self._telling = set[asyncio.Task[None]]()  # commands that are carried out beside
 
     def outdated(self, images: Mapping[str, Image]) -> frozenset[tuple[str, str]]:
         """The servers and services whose instance is of another version than these images."""
@@ -123,12 +124,19 @@ class Instances:
 
     async def close(self) -> None:
         """End every instance; returns when none is left."""
+        await end(*self._telling)
         lives = list(self._lives.values())
         for life in lives:
             if life.ending is not None:
                 life.ending.cancel()
             self._cut(life)
         await asyncio.gather(*(life.task for life in lives), return_exceptions=True)
+
+    def perform_beside(self, commands: Sequence[Command]) -> None:
+        """Have the commands carried out, in their order, while the caller goes on."""
+        task = start(self.perform(commands), name="what the operator ordered", failed=self._failed)
+        self._telling.add(task)
+        task.add_done_callback(self._telling.discard)
 
     async def perform(self, commands: Sequence[Command]) -> None:
         """Carry out the commands, in their order; instances start and stop meanwhile."""

@@ -3,7 +3,8 @@
 A drone keeps an instance busy for a share of its time: the duration of a call, of the time between two of its calls.
 As many drones fit as there are such shares in the lanes of the instance. Waiting behind other calls is not counted,
 or a crowd would make room for a larger crowd. Before it is measured the share is a quarter: most drones fly for
-longer than they call.
+longer than they call. The number is at most the number of drones whose calls are remembered: no larger crowd is
+measured.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ _SHARE = 0.25  # until it is measured
 _LEAST_CALLS = 2  # of one drone, for a measured share
 _WEIGHT = 0.2  # of the latest call in a drone's share
 _MOST_DRONES = 64  # whose shares count, the latest
+_FEW = 0.02  # a share that is written with a decimal
 
 
 @dataclass(slots=True)
@@ -76,7 +78,9 @@ class MeasuredSlots:
         if share is None:
             guess = f"{service} is not measured yet, and taken to be busy for {100 * _SHARE:.0f} % of a drone's time"
             return guess if service else "no service is offered"
-        return f"a drone keeps {service} busy for {100 * share:.0f} % of its time"
+        busy = f"a drone keeps {service} busy for {_percent(share)} of its time"
+        is_capped = self._lanes[service] / share > self._count_of(service) + 1
+        return f"{busy}, and no more drones are measured at once" if is_capped else busy
 
     def _known(self) -> list[str]:
         """The measured services, or all if none is measured: a service without calls says nothing."""
@@ -85,10 +89,14 @@ class MeasuredSlots:
 
     def _count_of(self, service: str) -> int:
         lanes, share = self._lanes[service], self._share_of(service)
-        return max(lanes, int(lanes / (_SHARE if share is None else share)))
+        return max(lanes, min(_MOST_DRONES, int(lanes / (_SHARE if share is None else share))))
 
     def _share_of(self, service: str) -> float | None:
         shares = [
             calls.share for calls in self._calls.get(service, {}).values() if calls.count >= _LEAST_CALLS
         ]
         return max(sum(shares) / len(shares), 1e-3) if shares else None
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %" if share < _FEW else f"{100 * share:.0f} %"

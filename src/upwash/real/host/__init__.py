@@ -8,6 +8,8 @@ number of lines of each kind, each on one line. The second signal ends what the 
 - log.py               a program's log on standard error
 - clock.py             the computer's clock, set by GPS
 - signals.py           SIGINT, SIGTERM, SIGHUP
+- orders.py            what an operator of the same machine orders
+- scratch.py           a folder for sockets, and what killed programs left
 - service_manager.py   sd_notify(3)
 
 Ugly: libraries write to file descriptor 2 past Python, so a log in JSON reads that back through a pipe.

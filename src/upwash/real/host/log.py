@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import sys
 import time
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
@@ -17,6 +21,8 @@ from upwash.support.text import counted, escaped_lines, printable
 
 _TEXT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 _LONGEST_MESSAGE = 10_000
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 1.0, 3600.0  # between two lines of one client
+_MOST_CLIENTS = 1024
 _foreign = logging.getLogger("upwash.foreign")
 
 
@@ -75,21 +81,55 @@ class _JsonFormatter(_TextFormatter):
         return msgspec.json.encode(facts).decode()
 
 
-class RateLimitedLog(logging.Filter):
-    """Lets five lines a second through, 50 after a rest; the next line has the number of those left out."""
+@dataclass(slots=True)
+class _Lines:
+    """The lines of one client: the last one, until when they are left out, how long next time, and how many were."""
 
-    def __init__(self) -> None:
+    seen_s: float = -math.inf
+    until_s: float = -math.inf
+    pause_s: float = _FIRST_PAUSE_S
+    left_out: int = 0
+
+
+class RateLimitedLog(logging.Filter):
+    """Lets five lines a second through, 50 after a rest; the next line has the number of those left out.
+
+    Of one client, which a line names by `extra={"whom": client}`, a line comes through at once, and others after
+    pauses that double from 1 s to 1 h. After an hour without a line of the client its pauses begin at 1 s again.
+    """
+
+    def __init__(self, *, now_s: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
+        self._now_s = now_s
         self._lines = Allowance(5.0, at_once=50.0)
         self._left_out = 0
+        self._of: OrderedDict[str, _Lines] = OrderedDict()  # by client, the latest last
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Whether the line is written."""
-        if not self._lines.take(1, now_s=time.monotonic()):
+        now_s, whom = self._now_s(), getattr(record, "whom", None)
+        client = None if whom is None else self._client(whom, now_s)
+        if client is not None and now_s < client.until_s:
+            client.left_out += 1
+            return False
+        if not self._lines.take(1, now_s=now_s):
             self._left_out += 1
             return False
-        if self._left_out:
-            record.msg = f"{record.getMessage()} ({counted(self._left_out, 'line')} left out before it)"
+        left_out, self._left_out = self._left_out, 0
+        if client is not None:
+            left_out, client.left_out = left_out + client.left_out, 0
+            client.until_s, client.pause_s = now_s + client.pause_s, min(2 * client.pause_s, _LONGEST_PAUSE_S)
+        if left_out:
+            record.msg = f"{record.getMessage()} ({counted(left_out, 'line')} left out before it)"
             record.args = ()
-            self._left_out = 0
         return True
+
+    def _client(self, whom: str, now_s: float) -> _Lines:
+        known = self._of.pop(whom, None)
+        if known is None or now_s - known.seen_s > _LONGEST_PAUSE_S:
+            known = _Lines()
+        known.seen_s = now_s
+        self._of[whom] = known
+        if len(self._of) > _MOST_CLIENTS:
+            self._of.popitem(last=False)
+        return known

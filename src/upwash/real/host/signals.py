@@ -17,7 +17,7 @@ _SECOND_SIGNAL_S = 0.5  # a terminal and a parent may both pass on one Ctrl-C
 
 
 @contextlib.contextmanager
-def on_signal(number: signal.Signals, do: Callable[[], None]) -> Iterator[None]:
+def on_signal(number: signal.Signals, do: Callable[[], object]) -> Iterator[None]:
     """Calls `do` at each signal of that number, until the end of the block."""
     loop = asyncio.get_running_loop()
     loop.add_signal_handler(number, do)

@@ -221,7 +221,8 @@ class Door:
 
     def _refuse(self, reason: DoorReason, who: str, site: str, why: str) -> None:
         self._count(reason, who)
-        _log.warning("refused %s: %s", site, why)
+        whom = f"{reason} {who}" if who != site else f"{site}: {why}"
+        _log.warning("refused %s: %s", site, why, extra={"whom": whom})
 
     def _count(self, reason: DoorReason, who: str) -> None:
         times, _, _ = self._refused[reason]

@@ -16,10 +16,11 @@ import asyncio
 import contextlib
 import logging
 import os
+import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, MutableMapping, Sequence
 
 import msgspec
 from msgspec import Struct
@@ -30,6 +31,9 @@ from upwash.real.link.streams import readable
 
 _VARIABLE = "UPWASH_HANDED_OVER"
 _READY = b"ready"
+_PARENT = (
+    os.getppid()
+)  # the old daemon, where there is one; another process adopts the children of an ended one
 _log = logging.getLogger("upwash.serving")
 
 
@@ -55,13 +59,23 @@ class HandedOver(Struct, frozen=True):
     ready_file: int
     servers: Mapping[str, Served]
     usage_file: int
+    revoked_file: int = -1  # an earlier daemon leaves it out
+
+    def revoked(self) -> frozenset[str]:
+        """The certificates that the old daemon refuses; call it only once. Raises UpwashError."""
+        if self.revoked_file < 0:
+            return frozenset()
+        try:
+            return frozenset(_read_memory(self.revoked_file).decode("ascii").split())
+        except (OSError, UnicodeDecodeError) as error:
+            raise UpwashError(
+                f"the certificates that the daemon before refuses cannot be read: {error}"
+            ) from None
 
     def usage(self) -> Mapping[str, Used]:
         """The usage of each server, empty if it cannot be read; call it only once."""
         try:
-            with open(self.usage_file, "rb") as file:  # noqa: PTH123 - a file descriptor
-                file.seek(0)
-                return _usage.decode(file.read())
+            return _usage.decode(_read_memory(self.usage_file))
         except (OSError, msgspec.MsgspecError) as error:
             _log.warning("what drones used counts from zero again: %s", error)
             return {}
@@ -70,12 +84,32 @@ class HandedOver(Struct, frozen=True):
         """The socket that drones connect to."""
         return socket.socket(fileno=self.socket_file)
 
+    def reload(self) -> None:
+        """Have the old daemon reload too while it serves its last drones."""
+        if os.getppid() == _PARENT:
+            with contextlib.suppress(OSError):
+                os.kill(_PARENT, signal.SIGHUP)
+
     def ready(self) -> None:
         """Reports to the old daemon that it may end."""
         with contextlib.suppress(OSError):  # it has ended already
             os.write(self.ready_file, _READY)
         with contextlib.suppress(OSError):
             os.close(self.ready_file)
+
+
+def _read_memory(descriptor: int) -> bytes:
+    with open(descriptor, "rb") as file:
+        file.seek(0)
+        return file.read()
+
+
+@contextlib.contextmanager
+def _in_memory(name: str, content: bytes) -> Iterator[int]:
+    """A file with that content; an environment variable has 128 KiB at most."""
+    with open(os.memfd_create(name), "wb", buffering=0) as file:  # noqa: PTH123 - in memory
+        file.write(content)
+        yield file.fileno()
 
 
 _usage = msgspec.json.Decoder(dict[str, Used])
@@ -92,6 +126,7 @@ async def hand_over(
     listen: str,
     servers: Mapping[str, Served],
     usage: Mapping[str, Used],
+    revoked: Collection[str],
     *,
     environment: Mapping[str, str],
     timeout_s: float,
@@ -102,14 +137,17 @@ async def hand_over(
     """
     ready, theirs = socket.socketpair()
     with ready:
-        # In a file: an environment variable has 128 KiB at most.
-        with theirs, open(os.memfd_create("usage"), "wb", buffering=0) as used:  # noqa: ASYNC230, PTH123 - in memory
-            used.write(msgspec.json.encode(usage))
-            given = HandedOver(listen, listening.fileno(), theirs.fileno(), servers, used.fileno())
+        with (
+            theirs,
+            _in_memory("usage", msgspec.json.encode(usage)) as used,
+            _in_memory("revoked", "\n".join(revoked).encode()) as refused,
+        ):
+            files = (listening.fileno(), theirs.fileno(), used, refused)
+            given = HandedOver(listen, files[0], files[1], servers, *files[2:])
             new = subprocess.Popen(  # noqa: ASYNC220, S603 - asyncio's own would end it together with the loop
                 [sys.executable, *sys.orig_argv[1:]],
                 stderr=sys.stderr,  # where file descriptor 2 leads to a log that ends with this daemon
-                pass_fds=(listening.fileno(), theirs.fileno(), used.fileno()),
+                pass_fds=files,
                 env={**os.environ, **environment, _VARIABLE: msgspec.json.encode(given).decode()},
             )
         try:

@@ -73,7 +73,7 @@ class Requests:
                 return reply
         except Refused as refusal:
             name = caller.client.name or "an unnamed caller"
-            _log.warning("refused %s to %s: %s", path, name, printable(str(refusal)))
+            _log.warning("refused %s to %s: %s", path, name, printable(str(refusal)), extra={"whom": name})
             raise
         except UpwashError:
             raise

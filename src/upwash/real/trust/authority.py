@@ -145,21 +145,23 @@ def revoke(folder: Path, names: Sequence[str]) -> Path:
     before = (read_public(file) if file.exists() else _REVOKED_HEAD).rstrip(b"\n")
     lines = [*before.decode(errors="surrogateescape").splitlines(keepends=True), "\n"]
     for name in names:
-        revoked = _fingerprint_of(folder, name)
+        revoked, holder = _fingerprint_of(folder, name)
         if revoked not in known:
-            lines.append(f"{revoked}  {name}, revoked {datetime.now(UTC):%Y-%m-%d}\n")
+            lines.append(f"{revoked}  {holder}, revoked {datetime.now(UTC):%Y-%m-%d}\n")
     write_file(file, "".join(lines).encode(errors="surrogateescape"))
     return file
 
 
-def _fingerprint_of(folder: Path, name: str) -> str:
+def _fingerprint_of(folder: Path, name: str) -> tuple[str, str]:
+    """The fingerprint that a name or a fingerprint means, and its holder as far as the folder tells."""
     certificate = folder / f"{name}.pem"
     if certificate.exists():
         pem = read_public(certificate)
         parsed_certificates(certificate, pem)
-        return fingerprint(pem)
+        return fingerprint(pem), name
     if (digits := name.replace(":", "").lower()) and re.fullmatch(r"[0-9a-f]{64}", digits):
-        return digits
+        holders = (made.holder for made in made_in(folder) if made.fingerprint == digits)
+        return digits, next(holders, "of a holder whose certificate is not here")
     raise UsageError(
         f"{certificate}: no such certificate: give the name of a certificate in {folder}, or the 64 digits of a "
         "SHA-256 fingerprint: `upwash keys DIR` shows them"
@@ -194,9 +196,10 @@ def made_in(folder: Path) -> list[CertificateFile]:
 
 def _refuse_names(names: list[str]) -> None:
     for index, name in enumerate(names):
-        if not re.fullmatch(r"[A-Za-z0-9._-]+", name) or len(name) > _LONGEST_NAME:
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", name) or len(name) > _LONGEST_NAME:
             raise UsageError(
-                f'"{name}" cannot be a name: use at most {_LONGEST_NAME} letters, digits, ".", "_" and "-"'
+                f'"{name}" cannot be a name: use at most {_LONGEST_NAME} letters, digits, ".", "_" and "-", first '
+                "a letter or a digit"
             )
         if name == "authority":
             raise UsageError('"authority" is the name of the authority itself: choose another')
