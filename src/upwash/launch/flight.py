@@ -46,6 +46,7 @@ from upwash.real.host.clock import (
     keep_right_from_services,
     problem_by,
 )
+from upwash.real.host.computer import HostComputer, with_many_files
 from upwash.real.host.journal import FileJournal, Unwritten, Watcher, read_events
 from upwash.real.host.signals import outliving_the_terminal, stopping_politely
 from upwash.real.instances.runtime import OwnProcesses
@@ -57,7 +58,7 @@ from upwash.support.loading import extra
 if TYPE_CHECKING:
     from upwash.launch.handover import Handover
 
-_TRACK_PERIOD_S = 1.0
+_TRACK_PERIOD_S, _SPARING_PERIOD_S = 1.0, 10.0
 _GPS_FIX_S = 60.0  # about what an autopilot needs after it is switched on
 _GPS_REPORT_S = 2.0  # for the request and its reply
 _LOOK_S = 0.1
@@ -82,6 +83,7 @@ async def fly(
     if program is not None:
         config = replace(config, mission=replace(config.mission, program=program))
     require_ready(config)
+    with_many_files()
     mission = load_mission(config.mission.program, mode=config.mission.mode)
     services = load_services(config.services)
     config, speed_why = with_speed(config, load_specs(config.services))
@@ -212,6 +214,7 @@ async def _ports(
         notifier=journal,
         journal=journal,
         finder=server_finder(config),
+        computer=stack.enter_context(contextlib.closing(HostComputer(journal.path.parent))),
         ground=_ground(config, stack),
         album=None
         if config.camera.keep is None
@@ -265,7 +268,7 @@ async def _tracking(flight: Flight, journal: Journal) -> AsyncIterator[None]:
     async def track() -> None:
         while not flight.has_ended:
             journal.record(flight.position_report())
-            await asyncio.sleep(_TRACK_PERIOD_S)
+            await asyncio.sleep(_SPARING_PERIOD_S if flight.spares_disk else _TRACK_PERIOD_S)
 
     task = start(track(), name="the log of the drone's positions", failed=only_logged)
     try:

@@ -98,6 +98,7 @@ class Apart:
 
 def serve(answer: Callable[[bytes], bytes]) -> None:
     """Answer the questions of the program that started this process, until that program ends."""
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
     with forgiving_streams(), socket.socket(fileno=int(sys.argv[1])) as line:
         questions = line.makefile("rb")
         while head := questions.read(_LENGTH_BYTES):
