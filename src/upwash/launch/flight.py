@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,6 +36,7 @@ from upwash.launch.drone import (
     server_finder,
 )
 from upwash.launch.readiness import require_ready
+from upwash.launch.watchdog import watched
 from upwash.missions.bundled import load_mission, load_services, load_specs
 from upwash.ports import Autopilot, Camera, Journal
 from upwash.real.camera.terrain import Terrain
@@ -73,11 +74,13 @@ async def fly(
     watchers: tuple[Watcher, ...] = (),
     unwritten: Unwritten | None = None,
     clock: SystemClock = SYSTEM_CLOCK,
+    takes_over: Sequence[str] = (),
 ) -> None:
     """Flies the configured mission with the configured vehicle, or another program with it.
 
     The event log goes to `log`, and each event to the watchers too; `unwritten` gets events that could not be logged.
-    With `resumes` the log's mission goes on from its last waypoint. Ctrl-C or a failure ends the mission with the
+    With `resumes` the log's mission goes on from its last waypoint. Without a dead man in the autopilot, the command
+    `takes_over` runs after this program has stood still and was killed. Ctrl-C or a failure ends the mission with the
     action of autopilot.on_failure; a second Ctrl-C ends the program at once. Raises what ended the mission early.
     """
     if program is not None:
@@ -123,6 +126,8 @@ async def fly(
             speed_why=speed_why,
         )
         await stack.enter_async_context(_tracking(flight, journal))
+        if config.autopilot.dead_man_s is None:
+            await stack.enter_async_context(watched(takes_over))
         stack.enter_context(stopping_politely(flight.stop))
         stack.enter_context(outliving_the_terminal())
         try:
