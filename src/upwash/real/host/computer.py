@@ -106,7 +106,7 @@ def _files_left() -> float:
     limit = _limit(resource.RLIMIT_NOFILE)
     for folder in ("/proc/self/fd", "/dev/fd"):
         try:
-            return limit - len(os.listdir(folder))  # noqa: PTH208 - names alone
+            return limit - len(os.listdir(folder)) + 1  # noqa: PTH208 - without the folder itself
         except FileNotFoundError:
             continue
         except OSError:  # no file is left for the look
