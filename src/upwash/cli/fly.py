@@ -104,7 +104,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _takes_over(options: argparse.Namespace, log: Path) -> list[str]:
-    """The command of a program that ends this flight in place of this one."""
+    """The command of a program that ends this flight after this program was killed."""
     autopilot = ["--autopilot", options.autopilot] if options.autopilot else []
     arguments = [
         "fly",

@@ -95,7 +95,7 @@ _WORDS_BEFORE_S = 1.0  # they come with the report that shows the loss
 class Ports(Struct, frozen=True):
     """The ports that a flight needs, real or simulated; `networks` has one for each radio.
 
-    `ground` is the terrain, `album` keeps photos; None keeps none. `computer` is the one that the program runs on.
+    `ground` is the terrain, `album` keeps photos; None keeps none. The program runs on the `computer`.
     """
 
     autopilot: Autopilot

@@ -51,7 +51,7 @@ class Make(Struct, frozen=True, tag=True):
 
 
 class Ask(Struct, frozen=True, tag=True):
-    """Call the method of the policy with what it is asked about."""
+    """Call the method of the policy with the encoded value."""
 
     method: str
     about: msgspec.Raw
@@ -65,7 +65,7 @@ class Made(Struct, frozen=True, tag=True):
 
 
 class Returned(Struct, frozen=True, tag=True):
-    """What a method returned: of which type, as that type, and as a text; the type is "" for any other."""
+    """The value that a method returned: its text, its type if that is one of KINDS, or "", and its encoding."""
 
     shown: str
     kind: str = ""

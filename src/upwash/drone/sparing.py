@@ -1,7 +1,7 @@
 """What is scarce on the drone's computer is spared for the flight: new links and details go first.
 
 Open files, threads and memory: no server is dialled, and each call runs on the drone. Disk: no photo is kept, and the
-drone's position is logged less often. The flight goes on, whatever is scarce.
+drone's position is logged less often. The flight goes on in any case.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class SparingDialer:
         self._sparing = sparing
 
     def dial(self, address: str, *, server: str) -> Link:
-        """A link as by the other dialer; raises Unreachable where something is scarce."""
+        """A link as by the other dialer; raises Unreachable while a supply is scarce."""
         if why := self._sparing.why_not(*FOR_LINKS):
             raise Unreachable(f"{server} is not dialled: this computer has {why}")
         return self._dialer.dial(address, server=server)
@@ -85,7 +85,7 @@ class SparingAlbum:
         self._sparing = sparing
 
     async def keep(self, photo: KeptPhoto) -> str:
-        """Keeps the photo as the other album does, if there is room; returns its name, or else its source."""
+        """Returns the photo's name in the other album, or its source while a supply is scarce; raises NotWritten."""
         if self._sparing.why_not("disk", "files", "threads"):
             return photo.source
         return await self._album.keep(photo)

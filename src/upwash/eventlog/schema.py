@@ -759,7 +759,7 @@ class FollowingEnded(_Explained, frozen=True, kw_only=True):
 class SupplyChanged(Event, frozen=True, kw_only=True):
     """A supply of the drone's computer is scarce from now on, or no more, and what is `left`.
 
-    `supply` is "files" or "threads", of which the program may still have `left`, or "memory" or "disk", in bytes.
+    Files and threads are those that the program may add; memory and disk are in bytes.
     While files, threads or memory are scarce, no server is dialled. While the disk is scarce, no photo is kept, and
     positions are logged each 10 s.
     """

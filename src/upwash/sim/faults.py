@@ -109,7 +109,7 @@ class Faults:
         return None
 
     async def change(self, target: str) -> None:
-        """Return at the next change of a fault of the target, if there is one."""
+        """Return at the next change of a fault of the target; never without a fault."""
         loop = asyncio.get_running_loop()
         changes = [_next_change_s(fault, loop.time()) for fault in self._faults if fault.target == target]
         next_s = max(min(changes, default=math.inf), loop.time() + _LEAST_STEP_S)

@@ -1,4 +1,4 @@
-"""What a simulated drone's computer has left: enough, but for the faults of its world."""
+"""What a simulated drone's computer has left: enough, except in faults of its world."""
 
 from __future__ import annotations
 

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 from upwash.support.loading import module_command
 from upwash.support.standard_streams import forgiving_streams
@@ -46,11 +47,11 @@ class Apart:
 
     @property
     def runs(self) -> bool:
-        """Whether the process can be asked."""
+        """Whether the process has not ended."""
         return self._process.poll() is None
 
     def ask(self, question: bytes, *, within_s: float) -> bytes:
-        """The answer; raises NoAnswer and Crashed, after either of which the process is ended."""
+        """The answer; raises NoAnswer and Crashed, and the process is gone then."""
         until_s = time.monotonic() + within_s
         try:
             self._line.settimeout(within_s)
@@ -96,14 +97,21 @@ class Apart:
         return f" by {signal_name(-code)}" if code < 0 else f" with exit code {code}"
 
 
+def dies_first() -> None:
+    """Have Linux, where no memory is left, kill this process before the program that started it."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text("500")
+
+
 def serve(answer: Callable[[bytes], bytes]) -> None:
     """Answer the questions of the program that started this process, until that program ends."""
+    dies_first()
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     with forgiving_streams(), socket.socket(fileno=int(sys.argv[1])) as line:
         questions = line.makefile("rb")
         while head := questions.read(_LENGTH_BYTES):
             question = questions.read(int.from_bytes(head, "big"))
-            signal.alarm(_ORPHAN_S)  # kills, whatever holds Python's lock
+            signal.alarm(_ORPHAN_S)  # which ends the process though its code holds Python's lock
             content = answer(question)
             signal.alarm(0)
             with contextlib.suppress(OSError):

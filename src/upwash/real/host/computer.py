@@ -120,7 +120,7 @@ def _limit(kind: int) -> float:
 
 
 def _group() -> Path:
-    """The folder of this program's group of control, version 2; one that is not there on other systems."""
+    """The folder of this program's group of control, version 2; other systems have no such folder."""
     with contextlib.suppress(OSError):
         for line in Path("/proc/self/cgroup").read_text().splitlines():
             if line.startswith("0::/"):
