@@ -10,10 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import select
-import signal
 import subprocess
-import sys
 from collections.abc import AsyncIterator, Sequence
 from typing import TYPE_CHECKING
 
@@ -26,7 +23,7 @@ if TYPE_CHECKING:
 
 SILENT_S = 20.0
 _SIGN_S = 1.0
-_KILLED_S = 5.0
+_PROGRAM = "upwash.launch.standby"
 COME_DOWN = f"{__name__}:come_down"
 
 
@@ -45,7 +42,7 @@ async def watched(takes_over: Sequence[str]) -> AsyncIterator[None]:
     os.set_blocking(ours, False)
     arguments = (str(theirs), str(os.getpid()), str(SILENT_S), *takes_over)
     process = subprocess.Popen(  # noqa: ASYNC220, S603 - it begins before take-off; a module of this package
-        module_command(__name__, *arguments),
+        module_command(_PROGRAM, *arguments),
         stdin=subprocess.DEVNULL,
         pass_fds=[theirs],
         start_new_session=True,  # Ctrl-C is for the flight
@@ -65,29 +62,3 @@ async def watched(takes_over: Sequence[str]) -> AsyncIterator[None]:
         await end(saying)
         os.close(ours)
         process.wait()
-
-
-def _stand_by(signs: int, program: int, silent_s: float, takes_over: Sequence[str]) -> None:
-    heard, patience_ms = select.poll(), None
-    heard.register(signs, select.POLLIN)
-    while heard.poll(patience_ms):
-        if not os.read(signs, 4096):
-            return
-        patience_ms = round(1000 * silent_s)
-    if os.getppid() != program:
-        return
-    os.kill(program, signal.SIGKILL)
-    while heard.poll(1000 * _KILLED_S) and os.read(signs, 4096):
-        pass
-    nowhere = subprocess.DEVNULL  # a halted terminal may be why it stood still
-    other = subprocess.Popen(takes_over, stdin=nowhere, stdout=nowhere, stderr=nowhere)  # noqa: S603 - as above
-    sys.stderr.write(
-        f"upwash: the program of the flight stood still for {silent_s:g} s: it was killed, and another ends the "
-        "flight\n"
-    )
-    other.wait()
-
-
-if __name__ == "__main__":
-    _signs, _program, _silent_s, *_command = sys.argv[1:]
-    _stand_by(int(_signs), int(_program), float(_silent_s), _command)
