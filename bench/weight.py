@@ -202,8 +202,11 @@ def flying(
             )
         stack.callback(program.kill)  # its service ends with it
         _wait_for_calls(program, log, said, calls, place="s1" if with_server else "local")
-        (service,) = children(program.pid)
-        yield program.pid, service
+        yield program.pid, next(child for child in children(program.pid) if _is_service(child))
+
+
+def _is_service(process_id: int) -> bool:
+    return b"upwash.real.instances.instance" in Path(f"/proc/{process_id}/cmdline").read_bytes()
 
 
 def _wait_for_calls(

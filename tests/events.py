@@ -27,6 +27,7 @@ _BLANKS: tuple[object, ...] = (
     "return",
     "program",
     "rates",
+    "files",
 )
 _KINDS = {schema.kind_of(each): each for each in schema.EVENTS}
 

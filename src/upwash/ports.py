@@ -13,6 +13,7 @@ from typing import Literal, Protocol, TypeAlias
 from upwash.core.admission.limits import NO_LIMITS, Limits
 from upwash.core.camera.lens import Lens
 from upwash.core.geo import Circle, EarthPosition, Position, Velocity
+from upwash.core.knowledge.supplies import Supplies
 from upwash.core.planning.legs import Pace
 from upwash.core.vehicle.control import Control
 from upwash.core.vehicle.geofence import Fence
@@ -298,6 +299,16 @@ class Album(Protocol):
 
     async def keep(self, photo: KeptPhoto) -> str:
         """Keeps the photo and returns the name of its file; raises NotWritten."""
+
+
+class Computer(Protocol):
+    """What the program has left of the computer that it runs on."""
+
+    def left(self) -> Supplies:
+        """What is left now; infinite where the system does not tell."""
+
+    async def may_have_changed(self) -> None:
+        """Return when it is worth looking again."""
 
 
 class Notifier(Protocol):

@@ -34,6 +34,7 @@ QUICK = {  # what each prints, among others
     "lighter": r"\| 1372 \| \d+ \| [\d.]+ s \| 0\.9\d+ \|",
     "load": r"\| 1 \| upwash, 1 slot \| [\d.]+ \| (\d+|nan) \| (\d+|nan) \| 0 \|",
     "metrics": r"[\d.]+ us for each call\n",
+    "own_policy": r"in a process +median +\d+ us.*\nprocess to thread, within a turn: [\d.]+",
     "only_servers": r"\| rows \| 40 m \| [\d.]+ of 121 \|( [\d.]+ s \|){2}( [\d.]+ \|){3} [\d.]+ s \|\n",
     "placement": r"\| thesis( \| [\d.]+ s){3} \| \d+ of 300 \|\n",
     "rows": r"10 %( \| [\d.]+){5}\n1,485 photos .*\n4 m/s \|  \|  \| [\d.]+ \|  \| \n",

@@ -66,3 +66,20 @@ def test_the_first_ctrl_c_asks_to_stop_and_ends_at_once_what_is_stopping_already
     else:
         asyncio.run(run())
     assert said == asked
+
+
+@pytest.mark.parametrize(
+    "number", [signal.SIGQUIT, signal.SIGUSR1, signal.SIGUSR2, signal.SIGIO, signal.SIGRTMAX]
+)
+def test_a_signal_that_would_kill_asks_to_stop_once_and_ends_nothing_at_once(number: int) -> None:
+    said = list[str]()
+
+    async def run() -> None:
+        with stopping_politely(said.append):
+            for pause_s in (0.6, 0.05):
+                os.kill(os.getpid(), number)
+                await asyncio.sleep(pause_s)
+        assert signal.getsignal(number) is signal.SIG_DFL
+
+    asyncio.run(run())
+    assert said == [signal.Signals(number).name]

@@ -35,10 +35,11 @@ from upwash.eventlog.results import read_result
 from upwash.eventlog.schema import Event, MissionStarted
 from upwash.launch.flight import fly
 from upwash.launch.processes import ready_program
+from upwash.launch.watchdog import COME_DOWN
 from upwash.real.host.journal import Unwritten, Watcher, read_events
 from upwash.report.exports import write_result
 from upwash.report.record import record_of
-from upwash.support.loading import extra
+from upwash.support.loading import extra, module_command
 from upwash.support.standard_streams import forgiving_streams
 from upwash.support.text import counted
 
@@ -90,15 +91,33 @@ def run(options: argparse.Namespace) -> None:
         sys.stderr.write(f"upwash: warning: {problem}\n")
     for _, doubt in photo_doubts(config):
         sys.stderr.write(f"upwash: warning: {doubt}\n")
+    log = options.resume or options.log or new_run_folder() / "events.jsonl"
     fly_with_progress(
         config,
         program=options.mission,
-        log=options.resume or options.log or new_run_folder() / "events.jsonl",
+        log=log,
+        takes_over=_takes_over(options, log),
         resumes=options.resume is not None,
         show=Show.JSON if options.json else Show.NOTHING if options.quiet else Show.PROGRESS,
         live_port=options.live,
         calls=options.calls,
     )
+
+
+def _takes_over(options: argparse.Namespace, log: Path) -> list[str]:
+    """The command of a program that ends this flight after this program was killed."""
+    autopilot = ["--autopilot", options.autopilot] if options.autopilot else []
+    arguments = [
+        "fly",
+        COME_DOWN,
+        "--config",
+        str(options.config),
+        *autopilot,
+        "--resume",
+        str(log),
+        "--quiet",
+    ]
+    return module_command("upwash", *arguments)
 
 
 def fly_with_progress(
@@ -110,13 +129,14 @@ def fly_with_progress(
     show: Show = Show.PROGRESS,
     live_port: int | None = None,
     calls: bool = False,
+    takes_over: Sequence[str] = (),
 ) -> None:
     """Fly the mission, and show its course and its result; raises the error that ended it early.
 
     With `resumes` the flight continues the mission of that log, and the result is that of the whole. What the mission
     itself prints goes to standard error with Show.JSON. With `live_port` a page on that port of this machine shows
-    the flight while it lasts; 0 is any port. With `calls` the result has a row for each call. Raises NotKept where
-    the mission was flown, and a part of its log or of its output could not be written.
+    the flight while it lasts; 0 is any port. With `calls` the result has a row for each call. `takes_over` is as for
+    `fly`. Raises NotKept where the mission was flown, and a part of its log or of its output could not be written.
     """
     unwritten, has_begun = Unwritten(), False
 
@@ -146,6 +166,7 @@ def fly_with_progress(
                         resumes=resumes,
                         watchers=(watch, *shown),
                         unwritten=unwritten,
+                        takes_over=takes_over,
                     )
                 )
         except BaseException as error:

@@ -545,7 +545,7 @@ def _true_call_problems(
 
 def _fault_problems(fault: FaultConfig, servers: Sequence[ServerConfig]) -> Iterator[Problem]:
     names = [server.name for server in servers]
-    targets = [*names, *(f"link:{name}" for name in names), "autopilot"]
+    targets = [*names, *(f"link:{name}" for name in names), "autopilot", "computer"]
     if fault.target not in targets:
         yield "target", unknown("target", fault.target, targets)
     if fault.to_s < fault.from_s:

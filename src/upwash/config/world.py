@@ -20,7 +20,7 @@ FaultKind = Literal[
     "off", "stuck", "slow", "garbage", "wrong", "lying", "flapping", "full", "crash",
     "hung", "poisoned", "unstartable",
     "pilot", "fail-safe", "diverted", "home", "jump", "restart", "impostor",
-    "hovers", "rally", "battery",
+    "hovers", "rally", "battery", "files", "threads", "memory", "disk",
 ]  # fmt: skip
 RADIOS = ("fixed", "disc54", "disc12")  # or a csv file of goodput by distance
 
@@ -182,7 +182,7 @@ class FaultConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Simulation: a disturbance that lasts for a while: [faults](faults.md)."""
 
     target: values.Text
-    """A server's name, `link:` and a server's name, or `autopilot`."""
+    """A server's name, `link:` and a server's name, `autopilot`, or `computer`: the drone's."""
     kind: FaultKind
     """The kind of the fault."""
     lie: Lie = "elsewhere"

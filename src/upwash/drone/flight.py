@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from upwash.config import (
     DroneConfig,
@@ -57,6 +58,7 @@ from upwash.drone.reserve import ReserveWatch
 from upwash.drone.rows import RowRules
 from upwash.drone.seeking import Seeking
 from upwash.drone.site import Site
+from upwash.drone.sparing import AMPLE, Sparing, SparingAlbum, SparingDialer
 from upwash.drone.vehicle import Vehicle, VehicleHandle
 from upwash.errors import (
     AutopilotError,
@@ -72,6 +74,7 @@ from upwash.ports import (
     Autopilot,
     Camera,
     ComingDown,
+    Computer,
     Dialer,
     Finder,
     Journal,
@@ -82,7 +85,7 @@ from upwash.ports import (
     VehicleNews,
 )
 from upwash.rpc.service import ServiceSpec, spec_of
-from upwash.support.background import end, start
+from upwash.support.background import end, only_logged, start
 from upwash.support.text import message_of, worded
 
 _LOOKS_AGAIN_S = 1.0  # at the battery, on the way down
@@ -94,7 +97,7 @@ _WORDS_BEFORE_S = 1.0  # they come with the report that shows the loss
 class Ports(Struct, frozen=True):
     """The ports that a flight needs, real or simulated; `networks` has one for each radio.
 
-    `ground` is the terrain, `album` keeps photos; None keeps none.
+    `ground` is the terrain, `album` keeps photos; None keeps none. The program runs on the `computer`.
     """
 
     autopilot: Autopilot
@@ -108,6 +111,7 @@ class Ports(Struct, frozen=True):
     finder: Finder | None = None
     ground: Callable[[Position], Ground] = level_ground
     album: Album | None = None
+    computer: Computer = AMPLE
 
 
 class Flight:
@@ -138,7 +142,12 @@ class Flight:
     ) -> None:
         self._mission = mission
         self._config = config
-        self._ports = ports
+        self._sparing = sparing = Sparing(ports.computer, ports.journal)
+        self._ports = ports = replace(
+            ports,
+            dialer=SparingDialer(ports.dialer, sparing),
+            album=ports.album and SparingAlbum(ports.album, sparing),
+        )
         self._thread = MissionThread()
         specs = {name: spec_of(cls) for name, cls in services.items()}
         self._order = order or order_of(config, specs)
@@ -356,6 +365,11 @@ class Flight:
             wind_north_m_s=None if wind is None else round(wind.north_m_s, 1),
         )
 
+    @property
+    def spares_disk(self) -> bool:
+        """Whether the disk is nearly full, so that only what matters most is written."""
+        return self._sparing.spares_disk
+
     def stop(self, why: str) -> bool:
         """End the mission early, in the configured safe action; or end the following of a lost vehicle.
 
@@ -436,6 +450,7 @@ class Flight:
 
     async def _fly(self) -> None:
         watch = start(self._watch_battery(), name="the watch of the reserve", failed=self._end_unwatched)
+        sparing = start(self._sparing.watch(), name="the watch of supplies", failed=only_logged)
         try:
             async with self._ending_safely():
                 await self._run_mission()
@@ -443,7 +458,7 @@ class Flight:
                 where = "in the air" if self._vehicle.in_the_air else "with running motors"
                 await self._end(f"the mission ended {where}")
         finally:
-            await end(watch)
+            await end(watch, sparing)
 
     async def _stands_disarmed(self) -> bool:
         """Disarm a vehicle that the mission left armed on the ground; return whether it stands disarmed."""

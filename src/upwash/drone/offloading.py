@@ -30,6 +30,7 @@ from upwash.drone.calling import CallAnswer, Calling, Invocation, Twice
 from upwash.drone.decisions import Background, Decisions, now_s
 from upwash.drone.line import AT_ONCE, CallLine, Turn
 from upwash.drone.onboard import OnboardServices
+from upwash.drone.own_policy import OwnPolicy
 from upwash.drone.pending import Hearing
 from upwash.drone.radios import RadioWorker, RadioWorkers
 from upwash.drone.server_calls import ServerCalls
@@ -130,6 +131,8 @@ class Offloading:
                 except Exception as error:  # noqa: BLE001 - the mission was flown all the same
                     self._fail(error)
             await end(background)
+            if isinstance(policy := self._decisions.selection.policy, OwnPolicy):
+                policy.end()
 
     @property
     def link(self) -> tuple[str | None, float | None]:

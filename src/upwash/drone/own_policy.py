@@ -1,22 +1,23 @@
-"""A policy of the user's own: a class in a file or module, loaded before take-off.
+"""A policy of the user's own: a class in a file or module, made before take-off in a process of its own.
 
-The rest of the drone relies on a policy's answers, and runs on the same thread. So each question has a limit of time,
+The rest of the drone relies on a policy's answers, and waits for them. So each question has a limit of time,
 and each answer is checked. A policy that raises, is silent, or answers what cannot be is a defect. Offloading
 ends with its reason, and the mission goes on with every call on the drone. Where the class has no method for a
-question, the built-in policy answers.
+question, the built-in policy answers. See docs/decisions/own-policies-apart.md.
 """
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
-import inspect
+import asyncio
+import atexit
 import math
-from collections.abc import Callable
-from concurrent.futures import Future
-from functools import partial
-from queue import SimpleQueue
-from typing import Any, TypeVar, cast
+import sys
+import time
+import weakref
+from pathlib import Path
+from typing import Any, cast
+
+import msgspec
 
 from upwash.config.drone import PolicyConfig
 from upwash.core.planning.acts import LateAct
@@ -26,7 +27,6 @@ from upwash.core.policies.names import is_own, make_policy
 from upwash.core.policies.policy import (
     CallInputs,
     Choice,
-    Coming,
     Decision,
     Local,
     Policy,
@@ -34,20 +34,26 @@ from upwash.core.policies.policy import (
     Situation,
     Wait,
 )
+from upwash.drone.policy_program import KINDS, Answer, Ask, Failed, Made, Make, Returned
 from upwash.errors import UsageError
-from upwash.support.background import only_logged, thread
-from upwash.support.loading import load
-from upwash.support.text import counted, worded
+from upwash.support.apart import Apart, Crashed, NoAnswer
+from upwash.support.text import counted
 
-T = TypeVar("T")
-ANSWERS_WITHIN_S = 5.0
-_FARTHEST_HORIZON = 1000  # calls
-_LONGEST_WHY = 500  # characters
+ANSWERS_WITHIN_S = 2.0
+_SHARE = 0.1  # of the time, that answers may take in the long run
+_MADE_WITHIN_S = 60.0
 _LONGEST_S = 3600.0
+_PROGRAM = "upwash.drone.policy_program"
+_ANSWERS: msgspec.msgpack.Decoder[Answer] = msgspec.msgpack.Decoder(Answer)
+_encoded = msgspec.msgpack.Encoder().encode
 
 
 class PolicyDefect(Exception):
     """Raised for an own policy that raises, does not answer, or answers what cannot be."""
+
+
+class _Raised(Exception):
+    """What the code of the user raised, as its process tells it."""
 
 
 def policy_of(settings: PolicyConfig) -> Policy:
@@ -58,41 +64,21 @@ def policy_of(settings: PolicyConfig) -> Policy:
         gain_wait=settings.gain_wait,
         patient_first_call=settings.patient_first_call,
     )
-    return _own_policy(settings, otherwise=built_in) if is_own(settings.name) else built_in
-
-
-def _own_policy(settings: PolicyConfig, *, otherwise: Policy) -> Policy:
-    made, name = load(settings.name), settings.name
-    if not callable(made):
-        raise UsageError(f"policy {name}: expected a class, and this is {made!r}: name the class")
-    try:
-        policy = made(**settings.settings)
-    except Exception as error:
-        known = inspect.signature(made) if inspect.isclass(made) else "()"
-        raise UsageError(
-            f"policy {name} cannot be made: {worded(error)}; it takes {known}, and "
-            f"policy.settings has {', '.join(settings.settings) or 'nothing'}"
-        ) from error
-    if not callable(getattr(policy, "choose", None)):
-        raise UsageError(
-            f"policy {name} has no method choose(situation): add it; it returns the server to use"
-        )
-    horizon = getattr(policy, "horizon", 0)
-    if not isinstance(horizon, int) or not 0 <= horizon <= _FARTHEST_HORIZON:
-        raise UsageError(
-            f"policy {name}: its horizon is {horizon!r}: give a number of calls up to {_FARTHEST_HORIZON}"
-        )
-    return OwnPolicy(policy, settings.label, horizon, otherwise)
+    return OwnPolicy(settings, otherwise=built_in) if is_own(settings.name) else built_in
 
 
 class OwnPolicy:
     """The user's policy, kept in bounds; `otherwise` answers where it has no method for a question."""
 
-    def __init__(self, policy: Any, name: str, horizon: int, otherwise: Policy) -> None:
-        self._policy = policy
+    def __init__(self, settings: PolicyConfig, *, otherwise: Policy) -> None:
+        self.name = settings.label
         self._otherwise = otherwise
-        self.name = name
-        self.horizon = horizon
+        self._process = _IDLE.pop() if _IDLE else Apart(_PROGRAM)
+        self._put_back = weakref.finalize(self, _put_back, self._process)
+        made = self._made(Make(_anywhere(settings.name), settings.settings, sys.path))
+        self._methods, self.horizon = frozenset(made.methods), made.horizon
+        self._left_s, self._asked_s = ANSWERS_WITHIN_S, -math.inf
+        self._ended: PolicyDefect | None = None  # with its process
 
     def choose(self, situation: Situation) -> Choice:
         """The server to select now, if any."""
@@ -108,24 +94,18 @@ class OwnPolicy:
             raise self._defect(
                 "choose", f"named {choice.server!r:.100}, which is not among the servers {servers}"
             )
-        if not isinstance(choice.coming, Coming | None):
-            raise self._defect("choose", f"has coming = {choice.coming!r:.200}: None or a Coming is expected")
-        return Choice(choice.server, str(choice.why)[:_LONGEST_WHY], choice.coming)
+        return choice
 
     def decide(self, call: CallInputs) -> Decision:
         """Where the call runs: Wait, Remote or Local."""
         decision = self._answer("decide", call)
         match decision:
             case Local():
-                return Local(str(decision.why)[:_LONGEST_WHY])
-            case Remote(server=call.server, deadline_s=int() | float() as within_s) if (
-                0 < within_s <= _LONGEST_S
-            ):
-                return Remote(call.server, within_s, str(decision.why)[:_LONGEST_WHY], bool(decision.raced))
-            case Wait(server=call.server, at_most_s=int() | float() as within_s) if (
-                0 < within_s <= _LONGEST_S
-            ):
-                return Wait(call.server, within_s, str(decision.why)[:_LONGEST_WHY])
+                return decision
+            case Remote(server=call.server, deadline_s=within_s) if 0 < within_s <= _LONGEST_S:
+                return decision
+            case Wait(server=call.server, at_most_s=within_s) if 0 < within_s <= _LONGEST_S:
+                return decision
         raise self._defect(
             "decide",
             f"returned {decision!r:.200}: expected Local, or Remote or Wait at {call.server} for up to "
@@ -179,69 +159,101 @@ class OwnPolicy:
                     f"returned {other!r:.200}, and None or the number of one of {gaps} is expected",
                 )
 
+    def end(self) -> None:
+        """Give up the process of the policy, which is not asked any more."""
+        self._ended = self._ended or PolicyDefect(f"policy {self.name} was asked after its end")
+        self._put_back()
+
+    def _made(self, make: Make) -> Made:
+        try:
+            made = self._told(make, within_s=_MADE_WITHIN_S)
+        except NoAnswer:
+            raise UsageError(f"policy {self.name} was not made within {_MADE_WITHIN_S:g} s") from None
+        except Crashed as error:
+            raise UsageError(f"policy {self.name} cannot be made: it {error}") from error
+        except _Raised as error:
+            raise UsageError(str(error)) from error.__cause__
+        if not isinstance(made, Made):
+            raise UsageError(f"policy {self.name} cannot be made")
+        return made
+
     def _answer(self, method: str, about: object) -> Any:
         """The answer of the user's method, or the built-in one where there is no such method."""
-        question = getattr(self._policy, method, None)
-        if question is None:
+        if method not in self._methods:
             return getattr(self._otherwise, method)(about)
+        if self._ended is not None:
+            raise self._ended
+        self._left_s = self._left_now_s()
+        began_s = time.monotonic()
         try:
-            return _ANSWERING.ask(lambda: question(about))
-        except _NoAnswer:
-            raise self._defect(method, f"did not answer within {ANSWERS_WITHIN_S:g} s") from None
-        except Exception as error:
-            raise self._defect(method, f"raised {worded(error)}") from error
+            question = Ask(method, msgspec.Raw(_encoded(about)))
+            return _value(self._told(question, within_s=self._left_s))
+        except NoAnswer:
+            share = (
+                f", as answers may take {_SHARE:.0%} of the time" if self._left_s < ANSWERS_WITHIN_S else ""
+            )
+            self._ended = self._defect(method, f"did not answer within {self._left_s:.2g} s{share}")
+            raise self._ended from None
+        except Crashed as error:
+            self._ended = self._defect(method, str(error))
+            raise self._ended from None
+        except _Raised as error:
+            raise self._defect(method, f"raised {error}") from error.__cause__
+        finally:
+            self._left_s -= time.monotonic() - began_s
+
+    def _left_now_s(self) -> float:
+        """The seconds that an answer may take now: the drone waits for it, and does nothing else meanwhile."""
+        try:
+            now_s = asyncio.get_running_loop().time()
+        except RuntimeError:  # no drone flies by the answer
+            return ANSWERS_WITHIN_S
+        earned_s = _SHARE * (now_s - self._asked_s)
+        self._asked_s = now_s
+        return max(0.0, min(ANSWERS_WITHIN_S, self._left_s + earned_s))
+
+    def _told(self, question: Make | Ask, *, within_s: float) -> Answer:
+        told = _ANSWERS.decode(self._process.ask(_encoded(question), within_s=within_s))
+        if isinstance(told, Failed):
+            raise _Raised(told.why) from _Raised(f"in the process of the policy:\n{told.trace}")
+        return told
 
     def _defect(self, method: str, what: str) -> PolicyDefect:
         return PolicyDefect(f"policy {self.name}: {method} {what}")
 
 
-class _Answering:
-    """The thread that own policies answer on. A thread that does not answer is given up, and replaced."""
-
-    def __init__(self) -> None:
-        self._questions: SimpleQueue[tuple[Callable[[], Any], Future[Any]]] | None = None
-        self._thread_id = 0
-
-    def ask(self, question: Callable[[], T]) -> T:
-        """The answer; raises what the question raises, and _NoAnswer."""
-        if self._questions is None:
-            self._questions = SimpleQueue()
-            answering = thread(partial(_answer, self._questions), name="own policy", failed=only_logged)
-            answering.start()
-            self._thread_id = answering.ident or 0
-        answer: Future[T] = Future()
-        self._questions.put((question, answer))
-        try:
-            answer.exception(timeout=ANSWERS_WITHIN_S)
-        except TimeoutError:
-            self._questions = None
-            _interrupt(self._thread_id)
-            raise _NoAnswer from None
-        return answer.result()
+def _value(told: Answer) -> object:
+    """What the policy returned; of other types, or with other fields, the text of it alone."""
+    assert isinstance(told, Returned)  # noqa: S101 - a policy that was made is only asked
+    try:
+        return msgspec.msgpack.decode(told.value, type=KINDS[told.kind])
+    except (KeyError, msgspec.DecodeError):
+        return _Other(told.shown)
 
 
-def _answer(questions: SimpleQueue[tuple[Callable[[], Any], Future[Any]]]) -> None:
-    with contextlib.suppress(_GivenUp):  # which may be raised at any moment
-        while True:
-            question, answer = questions.get()
-            try:
-                answer.set_result(question())
-            except _GivenUp:
-                raise
-            except BaseException as error:  # noqa: BLE001 - it is raised where the answer is awaited
-                answer.set_exception(error if isinstance(error, Exception) else RuntimeError(worded(error)))
+class _Other:
+    def __init__(self, shown: str) -> None:
+        self._shown = shown
+
+    def __repr__(self) -> str:
+        return self._shown
 
 
-class _NoAnswer(Exception):
-    """Raised for a question whose answer is not there in time."""
+def _anywhere(program: str) -> str:
+    """The program's name in any working folder."""
+    place, colon, name = program.rpartition(":")
+    return f"{Path(place).absolute()}{colon}{name}" if place.endswith(".py") else program
 
 
-class _GivenUp(BaseException):
-    """Raised in the thread of a policy that does not answer, so that it stops computing."""
+_IDLE: list[Apart] = []  # for the next policies, which need not wait for the start of a process
 
 
-def _interrupt(thread_id: int) -> None:
-    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread_id), ctypes.py_object(_GivenUp))
+def _put_back(process: Apart) -> None:
+    if process.runs:
+        _IDLE.append(process)
 
 
-_ANSWERING = _Answering()
+@atexit.register
+def _end_idle() -> None:
+    while _IDLE:
+        _IDLE.pop().end()

@@ -281,7 +281,8 @@ class ServerSession:
         if in_range:
             await self.calls_over()
             if self._daemon is None and self._expected:  # a probe asked, over a connection of its own
-                self._daemon = self._dialer.dial(self._address, server=self._server.name)
+                with contextlib.suppress(Unreachable):
+                    self._daemon = self._dialer.dial(self._address, server=self._server.name)
             await self.tell_denied()
             if self._daemon is not None:
                 with contextlib.suppress(LinkError):

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from upwash.core.knowledge.servers import State
+from upwash.core.knowledge.supplies import Supply
 from upwash.core.vehicle.control import Owner
 from upwash.core.vehicle.way_home import in_words
 from upwash.eventlog import schema
@@ -25,6 +26,13 @@ SAFE_ENDS = {
     "disarm": "disarming on the ground",
 }
 WARNING = 4
+_NO_LINKS = "no server is dialled until it has more"
+_SPARED: Mapping[Supply, str] = {
+    "files": _NO_LINKS,
+    "threads": _NO_LINKS,
+    "memory": _NO_LINKS,
+    "disk": "photos are not kept, and positions are logged less often, until it has more",
+}
 _SHORTEST_S = 0.05  # the shortest time in line that a sentence has
 # Most events of a long log are of these kinds: a set lookup is faster than a match statement.
 _WITHOUT_SENTENCE = frozenset(
@@ -317,7 +325,17 @@ def _sentence(event: Event) -> Sentence | None:
         case schema.ClockSet(before=before, after=after):
             said = f"this computer's clock said {before.isoformat()}: set to {after.isoformat()}"
             return Sentence(f"{said}, as the vehicle's GPS has it")
-    return _waiting_sentence(event) or _handover_sentence(event) or _vehicle_sentence(event)
+    return _waiting_sentence(event) or _computer_sentence(event) or _vehicle_sentence(event)
+
+
+def left_of(supply: Supply, left: float) -> str:
+    """What is left of a supply, in words."""
+    match supply:
+        case "files":
+            return f"{counted(int(left), 'file')} left to open"
+        case "threads":
+            return f"{counted(int(left), 'thread')} left to start"
+    return f"{left / 1e6:.0f} MB of {supply} left"
 
 
 def _waiting_sentence(event: Event) -> Sentence | None:
@@ -330,8 +348,13 @@ def _waiting_sentence(event: Event) -> Sentence | None:
     return None
 
 
-def _handover_sentence(event: Event) -> Sentence | None:
+def _computer_sentence(event: Event) -> Sentence | None:
     match event:
+        case schema.SupplyChanged(supply=supply, left=left, scarce=scarce):
+            said = f"this computer has {left_of(supply, left)}"
+            return (
+                Sentence(f"{said}: {_SPARED[supply]}", Tone.TROUBLE) if scarce else Sentence(f"{said} again")
+            )
         case schema.HandoverTrouble(to=to, why=""):
             return Sentence(f"{to} takes findings again")
         case schema.HandoverTrouble(to=to, why=why):

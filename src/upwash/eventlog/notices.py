@@ -19,7 +19,7 @@ from enum import StrEnum
 from upwash.core.knowledge.servers import State
 from upwash.core.vehicle.control import Owner
 from upwash.eventlog import schema
-from upwash.eventlog.narration import SAFE_ENDS, WARNING, known, who_has_it
+from upwash.eventlog.narration import SAFE_ENDS, WARNING, known, left_of, who_has_it
 from upwash.eventlog.progress import clock
 from upwash.eventlog.schema import SEVERITIES, Event
 from upwash.support.text import counted
@@ -36,9 +36,9 @@ _COUNTED = ("link", "server", *_TEXTS)  # how often it began, in this flight
 _URGENT_FIRST = (
     "hovering", "disobeys", "left", "link", "position", "control", "critical", "reserve", "return", "safe end",
     "stopping", "home",
-    "arming", "prearm", "waiting", "dead man", "battery", "said", "offloading", "server", "border", "trouble", "late",
-    "site", "setting", "version", "unsigned", "ended", "fallbacks", "coverage", "demands", "handover", "log",
-    "shortened", "events",
+    "arming", "prearm", "waiting", "dead man", "battery", "said", "supply", "offloading", "server", "border",
+    "trouble", "late", "site", "setting", "version", "unsigned", "ended", "fallbacks", "coverage", "demands",
+    "handover", "log", "shortened", "events",
 )  # fmt: skip
 _RANKS = {about: rank for rank, about in enumerate(_URGENT_FIRST)}
 # Most events of a long log are of few kinds: each case of a match takes time.
@@ -287,6 +287,15 @@ def _by_content(event: Event) -> Iterator[Notice]:
         case schema.VehicleFound(firmware=firmware, version=version):
             unknown = "" if version else f"The vehicle does not tell the version of its {firmware}"
             yield Notice("version", unknown, "Check that the version is new enough." if unknown else "")
+    yield from _of_computer(event)
+
+
+def _of_computer(event: Event) -> Iterator[Notice]:
+    """Notices of the drone's computer, its log, and where findings are handed over."""
+    match event:
+        case schema.SupplyChanged(supply=supply, left=left, scarce=scarce):
+            cause = f"The drone's computer has {left_of(supply, left)}" if scarce else ""
+            yield Notice("supply", cause, "End what takes it, or land." if scarce else "", of=supply)
         case schema.Shortened(of=of, why=why):
             yield Notice("shortened", f"The log has a part of an event alone ({of.replace('_', ' ')}): {why}")
         case schema.HandoverTrouble(to=to, why=why):

@@ -20,6 +20,7 @@ from upwash.core.camera.georeference import PhotoGeometry
 from upwash.core.geo import Circle, GeoPosition, Position, rounded
 from upwash.core.knowledge.coverage import MeasuredPlace
 from upwash.core.knowledge.servers import State, Trigger
+from upwash.core.knowledge.supplies import Supply
 from upwash.core.operation import server_of
 from upwash.core.vehicle.control import Owner
 from upwash.core.vehicle.telemetry import FixKind
@@ -792,6 +793,19 @@ class Stood(Event, frozen=True, kw_only=True):
 
 class FollowingEnded(_Explained, frozen=True, kw_only=True):
     """Why the log ends before a vehicle that another party had taken over is on the ground."""
+
+
+class SupplyChanged(Event, frozen=True, kw_only=True):
+    """A supply of the drone's computer is scarce from now on, or no more, and what is `left`.
+
+    Files and threads are those that the program may add; memory and disk are in bytes.
+    While files, threads or memory are scarce, no server is dialled. While the disk is scarce, no photo is kept, and
+    positions are logged each 10 s.
+    """
+
+    supply: Supply
+    left: Count
+    scarce: bool
 
 
 class CoverageNotKept(_Explained, frozen=True, kw_only=True):

@@ -62,6 +62,7 @@ from upwash.sim.link import ModelDialer, Observe, Switchboard, lived, unobserved
 from upwash.sim.loop import run_virtually
 from upwash.sim.over_time import OverTime
 from upwash.sim.runtime import ModelRuntime
+from upwash.sim.supplies import ModelComputer
 from upwash.sim.tracked import TrackedAutopilot
 from upwash.sim.turns import sleeps_reported
 from upwash.sim.vehicle import Manner, Plain
@@ -323,6 +324,7 @@ def _ports(
             lambda: autopilot.true_position,
             observe,
         ),
+        computer=ModelComputer(drone.faults),
     )
 
 

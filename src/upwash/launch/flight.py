@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,6 +36,7 @@ from upwash.launch.drone import (
     server_finder,
 )
 from upwash.launch.readiness import require_ready
+from upwash.launch.watchdog import watched
 from upwash.missions.bundled import load_mission, load_services, load_specs
 from upwash.ports import Autopilot, Camera, Journal
 from upwash.real.camera.terrain import Terrain
@@ -46,6 +47,7 @@ from upwash.real.host.clock import (
     keep_right_from_services,
     problem_by,
 )
+from upwash.real.host.computer import HostComputer, with_many_files
 from upwash.real.host.journal import FileJournal, Unwritten, Watcher, read_events
 from upwash.real.host.signals import outliving_the_terminal, stopping_politely
 from upwash.real.instances.runtime import OwnProcesses
@@ -57,7 +59,7 @@ from upwash.support.loading import extra
 if TYPE_CHECKING:
     from upwash.launch.handover import Handover
 
-_TRACK_PERIOD_S = 1.0
+_TRACK_PERIOD_S, _SPARING_PERIOD_S = 1.0, 10.0
 _GPS_FIX_S = 60.0  # about what an autopilot needs after it is switched on
 _GPS_REPORT_S = 2.0  # for the request and its reply
 _LOOK_S = 0.1
@@ -72,16 +74,19 @@ async def fly(
     watchers: tuple[Watcher, ...] = (),
     unwritten: Unwritten | None = None,
     clock: SystemClock = SYSTEM_CLOCK,
+    takes_over: Sequence[str] = (),
 ) -> None:
     """Flies the configured mission with the configured vehicle, or another program with it.
 
     The event log goes to `log`, and each event to the watchers too; `unwritten` gets events that could not be logged.
-    With `resumes` the log's mission goes on from its last waypoint. Ctrl-C or a failure ends the mission with the
+    With `resumes` the log's mission goes on from its last waypoint. Without a dead man in the autopilot, the command
+    `takes_over` runs after this program has stood still and was killed. Ctrl-C or a failure ends the mission with the
     action of autopilot.on_failure; a second Ctrl-C ends the program at once. Raises what ended the mission early.
     """
     if program is not None:
         config = replace(config, mission=replace(config.mission, program=program))
     require_ready(config)
+    with_many_files()
     mission = load_mission(config.mission.program, mode=config.mission.mode)
     services = load_services(config.services)
     config, speed_why = with_speed(config, load_specs(config.services))
@@ -122,6 +127,8 @@ async def fly(
             speed_why=speed_why,
         )
         await stack.enter_async_context(_tracking(flight, journal))
+        if config.autopilot.dead_man_s is None:
+            await stack.enter_async_context(watched(takes_over))
         stack.enter_context(stopping_politely(flight.stop))
         stack.enter_context(outliving_the_terminal())
         try:
@@ -213,6 +220,7 @@ async def _ports(
         notifier=journal,
         journal=journal,
         finder=server_finder(config),
+        computer=stack.enter_context(contextlib.closing(HostComputer(journal.path.parent))),
         ground=_ground(config, stack),
         album=None
         if config.camera.keep is None
@@ -266,7 +274,7 @@ async def _tracking(flight: Flight, journal: Journal) -> AsyncIterator[None]:
     async def track() -> None:
         while not flight.has_ended:
             journal.record(flight.position_report())
-            await asyncio.sleep(_TRACK_PERIOD_S)
+            await asyncio.sleep(_SPARING_PERIOD_S if flight.spares_disk else _TRACK_PERIOD_S)
 
     task = start(track(), name="the log of the drone's positions", failed=only_logged)
     try:

@@ -54,6 +54,8 @@ _INCIDENTS = (
     "battery",
 )  # of the autopilot alone
 _SETTINGS = ("hovers", "rally")  # of the autopilot's returns
+COMPUTER = "computer"  # the drone's
+SCARCE = ("files", "threads", "memory", "disk")  # what it may lack
 _NOBODY = ":1"
 _UNDECODABLE = b"\xc1" * 16  # the one byte that MessagePack never uses
 _ELSEWHERE = (
@@ -106,20 +108,26 @@ class Faults:
                 return msgspec.structs.replace(fault, kind="off") if fault.kind == "flapping" else fault
         return None
 
+    async def change(self, target: str) -> None:
+        """Return at the next change of a fault of the target; never without a fault."""
+        loop = asyncio.get_running_loop()
+        changes = [_next_change_s(fault, loop.time()) for fault in self._faults if fault.target == target]
+        next_s = max(min(changes, default=math.inf), loop.time() + _LEAST_STEP_S)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout_at(next_s if next_s < math.inf else None):
+                await never()
+
     async def befalls(self, target: str, kind: str) -> None:
         """Wait until the target has a fault of that kind."""
-        loop = asyncio.get_running_loop()
         while (fault := self.now(target)) is None or fault.kind != kind:
-            changes = [_next_change_s(fault, loop.time()) for fault in self._faults if fault.target == target]
-            next_s = max(min(changes, default=math.inf), loop.time() + _LEAST_STEP_S)
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout_at(next_s if next_s < math.inf else None):
-                    await never()
+            await self.change(target)
 
 
 def _kinds_at(target: str) -> tuple[str, ...]:
     if target == "autopilot":
         return _MOVING + _INCIDENTS + _SETTINGS
+    if target == COMPUTER:
+        return SCARCE
     return _MOVING if target.startswith("link:") else _SERVER
 
 

@@ -39,6 +39,7 @@ from upwash.real.link.streams import listening_socket
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import Method, carries_fault, load_service, spec_of, with_queue
 from upwash.rpc.settings import construct
+from upwash.support.apart import dies_first
 from upwash.support.background import thread
 from upwash.support.heat import Heat
 from upwash.support.loading import look_here
@@ -213,6 +214,7 @@ def main() -> NoReturn:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program that started this
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(line_buffering=True)  # what a service prints is in the log at once
+    dies_first()
     line = socket.socket(fileno=int(sys.argv[1]))
     lines = line.makefile("rb")
     outside = socket.socket(fileno=int(sys.argv[2])) if len(sys.argv) > 2 else None

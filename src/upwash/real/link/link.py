@@ -85,6 +85,9 @@ _LARGER = re.compile(r"(CLIENT|SERVER): (Sent|Received) message larger than max 
 _AROUND = re.compile(r"^failed to connect to all addresses; last error: [A-Z]+: ((ipv4|ipv6|unix):\S+: )?")
 
 
+_NOWHERE = "unix:/nowhere"
+
+
 class _Silent(Unreachable):
     """Raised when the other end takes connections and does not answer."""
 
@@ -117,6 +120,8 @@ class GrpcDialer:
         ]
         self._shown = credentials
         self._ways: dict[str, Way] = {}  # by server
+        # With a channel gRPC's engine runs: an engine that starts where no file is left aborts the program.
+        self._engine = grpc.insecure_channel(_NOWHERE)
         self._credentials = credentials and grpc.ssl_channel_credentials(
             root_certificates=credentials.authority,
             private_key=credentials.key,
@@ -260,7 +265,8 @@ class GrpcLink:
         self._methods: dict[str, Any] = {}
 
     def _hang_up(self) -> None:
-        thread(self._channel.close, name="a link that closes", failed=only_logged).start()
+        with contextlib.suppress(RuntimeError):  # no thread is left: the channel closes once it is collected
+            thread(self._channel.close, name="a link that closes", failed=only_logged).start()
 
     async def _request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
         if self._closed:
@@ -282,7 +288,10 @@ class GrpcLink:
         metadata = self._metadata
         if isinstance(body, Request) and body.may_queue_s is not None:
             metadata += ((MAY_QUEUE_METADATA, f"{body.may_queue_s:.3f}"),)
-        call = method.future(bytes(body), timeout=timeout_s, metadata=metadata)
+        try:
+            call = method.future(bytes(body), timeout=timeout_s, metadata=metadata)
+        except RuntimeError as error:  # no thread is left
+            raise Unreachable(f"{self._peer}: {error}") from error
         call.add_done_callback(wake)
         deadline = loop.call_later(timeout_s, settle)
         self._under_way.add(settle)
