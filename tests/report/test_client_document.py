@@ -52,8 +52,12 @@ def flight(
     drone: str = "scout",
     lens: bool = True,
     apart_m: float = 4.0,
+    again: Sequence[int] = (),
 ) -> Path:
-    """A flight straight to the east: photos named 0.jpg and so on, each with the objects told of it."""
+    """A flight straight to the east: photos named 0.jpg and so on, each with the objects told of it.
+
+    Those of the numbers `again` are second looks.
+    """
     events: list[Told] = [
         (0.0, "log_opened", {"time": "2026-05-01T10:00:00+00:00", "version": 5}),
         (0.5, "vehicle_found", {"firmware": "ArduCopter", "type": "quadrotor"}),
@@ -64,7 +68,7 @@ def flight(
     for number, objects in enumerate(photos):
         place = {"east_m": apart_m * number, "north_m": 0.0, "altitude_m": 10.0}
         geometry = {"position": place, "size_px": (640, 480), "lens": {"fov_deg": 62.2, "up_deg": 0.0}}
-        more = {"geometry": geometry} if lens else {}
+        more = ({"geometry": geometry} if lens else {}) | ({"object": 1} if number in again else {})
         events.append((10.0 * number + 5, "photo", {"source": f"{number}.jpg", "position": place, **more}))
         if objects:
             events.append((10.0 * number + 6, "notified", {"message": list(objects), "at": place}))
@@ -128,6 +132,17 @@ def test_the_map_comes_first_and_each_object_with_two_looks_and_its_photo(
     assert [each.get("alt") for each in page.iter("img")] == ["photo 3, 10:00:25: nothing found"]
     (map_,) = of_class(page, "map")
     assert [each.get("href") for each in map_.iter(f"{SVG}a")] == ["#object-1"]
+
+
+def test_the_second_look_stands_beside_the_surest_sighting(tmp_path: Path, photos: Path) -> None:
+    scores = (0.5, 0.4, 0.95)
+    boxes = [[box(left, 230, score=score)] for left, score in zip((305, 93, 305), scores, strict=True)]
+    log = flight(tmp_path / "f.jsonl", *boxes, again=[2], apart_m=4.0)
+    events = log.read_text().replace('"east_m":8.0', '"east_m":0.0')  # back over the object
+    log.write_text(events)
+    (card,) = of_class(parsed(made(log, photos=photos)), "object")
+    titles = [text(each).partition(",")[0] for each in card.iter("figcaption")]
+    assert titles == ["The surest sighting: photo 1", "The second look: photo 3", "The whole of photo 1"]
 
 
 def test_a_photo_of_several_objects_is_in_the_document_once(tmp_path: Path, photos: Path) -> None:

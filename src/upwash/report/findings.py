@@ -32,7 +32,7 @@ class TakenPhoto:
     """The `number`th photo of a run, counted from 0, and the waypoint where it was taken, None before the first.
 
     `earth` is the latitude and longitude of the drone then, None where the log has none; `geometry` decides where
-    lies what the photo shows, None for a camera whose lens is unknown.
+    lies what the photo shows, None for a camera whose lens is unknown. `is_again` marks a second look at an object.
     """
 
     number: int
@@ -40,6 +40,7 @@ class TakenPhoto:
     waypoint: int | None
     earth: tuple[float, float] | None = None
     geometry: PhotoGeometry | None = None
+    is_again: bool = False
 
     @property
     def corners_m(self) -> list[tuple[float, float]] | None:
@@ -73,7 +74,8 @@ class Pairing:
                 number = 0 if self.last is None else self.last.number + 1
                 shot = Shot(source, position, self._since_start)
                 earth = _on_earth(event.latitude_deg, event.longitude_deg)
-                self.last = TakenPhoto(number, shot, self.here, earth, event.geometry)
+                is_again = event.object is not None
+                self.last = TakenPhoto(number, shot, self.here, earth, event.geometry, is_again)
                 self._taken[self._since_start] = self.last
                 self._taken.pop(self._since_start - _MOST_REMEMBERED, None)
                 self._since_start += 1

@@ -120,21 +120,28 @@ def survey_of(records: Sequence[Record]) -> Survey:
             with_findings.add((number, finding.photo.number))
             if finding.box is not None:
                 looks[position].append(Look(of.sighting(finding), (number, finding.photo.number)))
+    flown = [_flown(number, record) for number, record in enumerate(records)]
+    again = {photo.key for flight in flown for photo in flight.photographs if photo.taken.is_again}
     objects = []
     for position, of in enumerate(found.everything):
         if not of.is_rejected:
             name = str(of.number) if are_one_list else f"{of.best[0] + 1}-{of.number}"
-            objects.append(Inspected(name, of, _best_looks(looks[position])))
-    flown = [_flown(number, record) for number, record in enumerate(records)]
+            objects.append(Inspected(name, of, _best_looks(looks[position], again)))
     return Survey(flown, objects, with_findings, are_one_list, found.tally)
 
 
-def _best_looks(sightings: Sequence[Look]) -> list[Look]:
-    """The surest sighting, and the surest on another photo."""
+def _best_looks(sightings: Sequence[Look], again: Set[PhotoKey]) -> list[Look]:
+    """The surest sighting, and the surest of those `again`, from lower down; without one that of another photo."""
     surest = sorted(sightings, key=lambda look: sureness(look.finding), reverse=True)
-    others = [look for look in surest if look.photo != surest[0].photo]
-    first = [replace(look, title="The surest sighting") for look in surest[:1]]
-    return [*first, *(replace(look, title="Another sighting") for look in others[:1])]
+    seconds = [look for look in surest if look.photo in again]
+    first = next((look for look in surest if look.photo not in again), surest[0] if surest else None)
+    if first is None:
+        return []
+    looks = [replace(first, title="The surest sighting")]
+    if seconds and first.photo not in again:
+        return [*looks, replace(seconds[0], title="The second look")]
+    others = [look for look in surest if look.photo != first.photo]
+    return [*looks, *(replace(look, title="Another sighting") for look in others[:1])]
 
 
 def _flown(index: int, record: Record) -> Flown:
