@@ -85,6 +85,7 @@ FOUND_BY_SEED = {
     "the way home counts as one to home alone": 48,
     "the time until a hover is seen is not counted": 152,
     "the first battery alone counts": 129,
+    "a server that was found stopped counts as running, and nothing bounds the pace of selections": 1394,
 }
 
 
