@@ -19,6 +19,7 @@ from upwash.services.ros_image import jpeg_of_message
 from upwash.support.background import in_thread
 
 _TYPES = get_typestore(Stores.ROS2_HUMBLE)
+_FILES = (".mcap", ".db3")
 _IMAGES = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
 
 
@@ -64,10 +65,24 @@ class BagCamera:
                 yield time_ns, _TYPES.deserialize_cdr(raw, connection.msgtype)
 
 
+def _bag_file(bag: Path) -> Path:
+    """The bag; of a folder without metadata.yaml, as of a recorder that was cut off, its one file."""
+    if not bag.is_dir() or (bag / "metadata.yaml").exists():
+        return bag
+    files = [file for file in sorted(bag.iterdir()) if file.suffix in _FILES]
+    if len(files) != 1:
+        names = ", ".join(file.name for file in files) or "none"
+        raise ValueError(
+            f"it has no metadata.yaml, and not one {' or '.join(_FILES)} file ({names}): name one of its files, "
+            "or have `ros2 bag reindex` write metadata.yaml"
+        )
+    return files[0]
+
+
 @contextlib.contextmanager
 def _reading(bag: Path) -> Iterator[Reader]:
     try:
-        with Reader(bag) as reader:
+        with Reader(_bag_file(bag)) as reader:
             yield reader
     except (ReaderError, OSError, ValueError, KeyError) as error:
         raise UsageError(f"camera.bag: {bag} cannot be read as a ROS 2 bag: {error}") from error
