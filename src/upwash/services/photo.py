@@ -231,7 +231,7 @@ def stretched(image: MatLike, *, least_span: float) -> MatLike:
     low, high = (float(value) for value in np.percentile(image[known], (_OUTLIERS, 100 - _OUTLIERS)))
     span = max(least_span, high - low)
     low = (low + high - span) / 2
-    scaled: Floats = (np.where(known, image, low) - np.float32(low)) * np.float32(255 / span)
+    scaled: Floats = (np.where(known, image, np.float32(low)) - np.float32(low)) * np.float32(255 / span)
     return np.clip(scaled, 0, 255).astype(np.uint8)
 
 
