@@ -42,6 +42,7 @@ _MOST_FILES = 2000  # of a folder: a card may hold more than a person waits for
 _MOST_S = 60.0
 _MOST_NAMED = 5
 _APART_S = 1.0  # between two photos that cannot be the same
+_LEAST_AGE_S = 1.0  # that a device's photo may have: a large frame takes some time to become a JPEG
 _DARKEST = 16  # of 255: what a sensor shows behind its cap
 
 
@@ -136,7 +137,12 @@ async def opened_camera(
         assert config.device is not None  # noqa: S101
         camera = stack.enter_context(
             contextlib.closing(
-                await VideoCamera.open(config.device, latency_s=config.latency_s, lens=_lens(config))
+                await VideoCamera.open(
+                    config.device,
+                    latency_s=config.latency_s,
+                    oldest_s=max(_LEAST_AGE_S, config.photo_s),
+                    lens=_lens(config),
+                )
             )
         )
     return camera
