@@ -294,11 +294,10 @@ def test_the_first_frames_of_a_film_are_photos_to_measure_with(tmp_path: Path) -
 
 def test_only_a_film_is_played_at_its_own_pace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cv2, "VideoCapture", Source)  # which has 9 frames, 9 a second
-    monkeypatch.setenv("OPENCV_FFMPEG_CAPTURE_OPTIONS", "")
     for name in ("film.mp4", "camera.sdp"):
         (tmp_path / name).touch()
     os.mkfifo(tmp_path / "camera.mjpg")
-    live = [
+    live: list[int | str] = [
         *(0, "/dev/video0", "rtsp://camera/stream", "v4l2src ! appsink"),
         *(str(tmp_path / name) for name in ("camera.sdp", "camera.mjpg")),
     ]

@@ -9,6 +9,7 @@ import math
 import os
 import re
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 from upwash.core.camera.frame_times import FrameTimes
@@ -28,7 +29,9 @@ _FRAME_S = 5.0
 _REOPEN_S = 1.0
 _LAST_FRAME_S = 1.0
 _LEAST_BEHIND_S = 1.0
-_FOR_SDP = "rtsp_transport;tcp|protocol_whitelist;file,crypto,data,udp,rtp"
+_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
+# Of named pipes and .sdp files: FFmpeg opens what such a file names only if allowed, and studies a stream for 5 s.
+_FOR_PIPES = "rtsp_transport;tcp|protocol_whitelist;file,crypto,data,udp,rtp|analyzeduration;1000000"
 
 _log = logging.getLogger("upwash.camera")
 
@@ -205,11 +208,8 @@ class _Capture:
         else:
             limit_ms = int(1000 * _FRAME_S)
             limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, limit_ms, cv2.CAP_PROP_READ_TIMEOUT_MSEC, limit_ms]
-            if source.lower().endswith(
-                ".sdp"
-            ):  # FFmpeg takes what such a file names only if it is allowed to
-                os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", _FOR_SDP)
-            self._capture = cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)
+            with _options_for(source):
+                self._capture = cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)
         self.is_open = self._capture.isOpened()
         is_film = _is_file(source) and self._capture.get(cv2.CAP_PROP_FRAME_COUNT) > 0
         self.interval_s = 1 / max(1.0, self._capture.get(cv2.CAP_PROP_FPS)) if is_film else None
@@ -278,6 +278,19 @@ def _remedy(source: int | str) -> str:
         if _is_file(source)
         else connected
     )
+
+
+@contextlib.contextmanager
+def _options_for(source: str) -> Iterator[None]:
+    """FFmpeg's options while a named pipe or an .sdp file is opened: OpenCV takes them from the environment alone."""
+    needed = "://" not in source and not _is_file(source) and _OPTIONS not in os.environ
+    if needed:
+        os.environ[_OPTIONS] = _FOR_PIPES
+    try:
+        yield
+    finally:
+        if needed:
+            del os.environ[_OPTIONS]
 
 
 def _is_file(source: int | str) -> bool:
