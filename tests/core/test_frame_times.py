@@ -65,3 +65,20 @@ def test_a_stream_that_always_sends_ten_frames_at_once_is_not_starved() -> None:
 def test_a_stall_within_a_burst_does_not_make_old_frames_new() -> None:
     arrivals = [*steady(40), 5.0, 5.001, 8.0, 8.001, 8.002]
     assert all(late > 2 for late in late_s(arrivals)[40:])
+
+
+@pytest.mark.parametrize("clock_off", [0.8, 1.0, 1.25])
+def test_a_frame_that_waited_in_a_buffer_is_as_old_as_the_streams_times_say(clock_off: float) -> None:
+    """The reader is away for 2 s and then reads as fast as it can; before, it waits for each frame."""
+    times, stamps = FrameTimes(), [clock_off * captured_s for captured_s in steady(200)]
+    free_s, ages = 0.0, []
+    for captured_s, stamp_s in zip(steady(200), stamps, strict=True):
+        arrived_s = max(captured_s, free_s + 0.002)
+        waited_s = arrived_s - free_s
+        told_s = times.captured_s(arrived_s, waited_s=waited_s, stamp_s=1.0 + stamp_s)
+        ages.append((arrived_s - captured_s, arrived_s - told_s))
+        free_s = arrived_s + (2.0 if captured_s == 5.0 else 0.001)
+    oldest_s = max(true_s for true_s, _ in ages)
+    assert oldest_s > 1.9
+    assert all(told_s == pytest.approx(true_s, abs=0.03 + 0.25 * oldest_s) for true_s, told_s in ages)
+    assert ages[-1] == pytest.approx((0.0, 0.0), abs=1e-6)

@@ -172,6 +172,23 @@ def turns(*steps: Step) -> list[Step]:
     ]
 
 
+def test_no_more_than_four_servers_are_selected_within_a_second() -> None:
+    names = [f"s{number}" for number in range(1, 7)]
+    machine = Selection(
+        dict.fromkeys(names, AREAS["s1"]),
+        estimates=Estimates(
+            local_s={HEAVY: 8.0}, servers=dict.fromkeys(names, Beliefs(11.5, 3.5, {HEAVY: 0.75}))
+        ),
+        policy=LocationAware(),
+    )
+    machine.handle(Tick(), now_s=10.0, position=UNDER_S1)
+    for check in (1, 2, 3, 4):
+        machine.handle(ServerUnusable(check, "refused"), now_s=10.1, position=UNDER_S1)
+    assert machine.current is None and machine.next_look_s(now_s=10.1) == 11.0
+    assert machine.handle(Tick(), now_s=10.9, position=UNDER_S1) == []
+    assert written(machine.handle(Tick(), now_s=11.0, position=UNDER_S1)) == ["s5 AVL CHECK", "check s5 5"]
+
+
 @pytest.mark.parametrize("policy", [LocationAware(), Opportunistic()])
 def test_another_server_is_preferred_to_one_without_a_slot_and_of_two_such_the_drone_stays(
     policy: Policy,
@@ -227,6 +244,13 @@ STORIES: dict[str, tuple[Callable[[], Selection], list[Step]]] = {
     "a check of a running server that leaves the range": (
         left,
         [CHECKED_AGAIN, (31.0, NOWHERE, ServerUnusable(2, "no answer"), "s1 CHECK-R AVL-R, leave s1")],
+    ),
+    "a server that is found stopped and left at once is remembered as stopped": (
+        left,
+        [
+            CHECKED_AGAIN,
+            (22.0, NOWHERE, CheckAnswered(2, running=False), "s1 CHECK-R CHECK, s1 CHECK AVL, leave s1"),
+        ],
     ),
     "a start that failed is a failed check": (
         new(),

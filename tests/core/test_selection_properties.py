@@ -56,6 +56,7 @@ from upwash.core.selection.events import (
     TargetUnknown,
     Tick,
 )
+from upwash.core.selection.radios import MOST_SELECTED, SELECTED_IN_S
 from upwash.core.selection.recovery import REST_S, Probing
 from upwash.core.selection.selection import Selection
 from upwash.core.selection.settings import SelectionSettings
@@ -145,6 +146,7 @@ class Flights(RuleBasedStateMachine):
         self.entered_s = dict.fromkeys(self.areas, 0.0)
         self.blacklisted_at_s: dict[str, float] = {}
         self.checks: list[int] = []
+        self.selected_s: list[float] = []
         self.asked: dict[int, str] = {}  # by check
         self.peers = {name: {*self.areas, "elsewhere"} if connected else set() for name in self.areas}
         self.announced: list[tuple[str, str]] = []
@@ -394,6 +396,7 @@ class Flights(RuleBasedStateMachine):
                     assert check not in self.checks
                     self.contact(server)
                     self.joined.append(server)
+                    self.selected_s.append(self.now_s)
                     self.checks.append(check)
                     self.asked[check] = server
                 case Start(server, check):
@@ -458,8 +461,14 @@ class Flights(RuleBasedStateMachine):
                 assert state is not State.BLACKLISTED or unprobed_s < REST_S
             assert state is not State.AVL_R or age_s < SETTINGS.idle_s
 
+    @property
+    def selected_lately(self) -> int:
+        return sum(self.now_s - at_s < SELECTED_IN_S for at_s in self.selected_s)
+
     def nothing_better_is_left(self) -> None:
-        """After whatever happened the policy has its way at once."""
+        """After whatever happened the policy has its way at once, but for the pace of selections."""
+        if self.selected_lately == MOST_SELECTED:
+            return
         estimates, policy, current = self.selection.estimates, self.selection.policy, self.selection.current
         local_s = estimates.mean_call_s()
         reachable = {
@@ -514,6 +523,10 @@ class Flights(RuleBasedStateMachine):
     def the_selected_servers_are_those_that_are_joined(self) -> None:
         assert sorted(self.joined) == sorted(name for name, state in self.states.items() if state in SELECTED)
         assert len(self.joined) + len(self.probed) <= self.radios
+
+    @invariant()
+    def few_servers_are_selected_in_a_second(self) -> None:
+        assert self.selected_lately <= MOST_SELECTED
 
     @invariant()
     def failed_servers_are_probed_as_far_as_there_are_radios(self) -> None:

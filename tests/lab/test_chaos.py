@@ -86,7 +86,8 @@ def test_worlds_have_faults_of_every_kind_everywhere() -> None:
         for fault in World(seed).faulty(seed, [])[0]["fault"]
     }
     moving = {"off", "stuck", "slow", "flapping"}
-    on_servers = moving | {"garbage", "wrong", "lying", "full", "crash", "hung", "poisoned", "unstartable"}
+    of_instances = {"crash", "power-cut", "hung", "poisoned", "unstartable"}
+    on_servers = moving | of_instances | {"garbage", "wrong", "lying", "full"}
     incidents = {
         "pilot",
         "fail-safe",

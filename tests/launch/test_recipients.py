@@ -19,6 +19,7 @@ import pytest
 from tests.waiting import wait_for
 
 from upwash.config import UserConfig
+from upwash.errors import UsageError
 from upwash.launch.recipients import (
     CursorOnTarget,
     NotTaken,
@@ -84,6 +85,8 @@ class Handler(BaseHTTPRequestHandler):
                 self.send_response(200)
                 self.end_headers()
                 self._without_end(b"x" * 4096, pause_s=0.0)
+            case status if not status.isdigit():
+                self.send_error(501)
             case status:
                 self.send_response(int(status))
                 self.send_header("Location", "/204")
@@ -281,3 +284,29 @@ def test_no_label_breaks_an_event_or_outgrows_a_datagram(label: str) -> None:
     callsign = detail[0].get("callsign") or ""
     assert callsign.isprintable()
     assert callsign[:2] == label[:2].replace("\n", "\\")
+
+
+async def test_a_webhook_goes_through_the_proxy_of_the_environment_and_a_token_in_the_clear_does_not(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("http_proxy", server.url("").replace("//", "//me:s%40fe@"))
+    hook = Webhook("http://hooks.invalid/204?x=1", None)
+    assert hook.name == "the webhook at hooks.invalid, through the proxy 127.0.0.1"
+    with pytest.raises(NotTaken, match="501"):  # the stand-in knows no target with a host
+        await hook.take(FACTS)
+    ((target, headers, _),) = server.got
+    assert (target, headers["Proxy-Authorization"]) == ("http://hooks.invalid/204?x=1", "Basic bWU6c0BmZQ==")
+    assert "proxy" not in Webhook("http://hooks.invalid/204", TOKEN).name
+    monkeypatch.setenv("no_proxy", "hooks.invalid")
+    assert "proxy" not in Webhook("http://hooks.invalid/204", None).name
+
+
+async def test_a_webhook_over_tls_asks_the_proxy_for_a_tunnel(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("https_proxy", f"127.0.0.1:{server.server_address[1]}")
+    said, for_good = await why(Webhook("https://hooks.invalid/204", None))
+    assert "Tunnel connection failed: 501" in said and not for_good
+    monkeypatch.setenv("https_proxy", "socks5://127.0.0.1:1")
+    with pytest.raises(UsageError, match="https_proxy: expected an http:// URL"):
+        Webhook("https://hooks.invalid/204", None)

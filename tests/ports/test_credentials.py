@@ -195,6 +195,25 @@ def test_a_key_that_others_can_read_is_refused_with_the_remedy(keys: Path) -> No
     assert not (keys / "stork.key").exists()
 
 
+def test_a_key_that_is_a_link_into_a_mounted_secret_is_read(keys: Path) -> None:
+    (keys / "heron.key").rename(keys / "mounted")
+    (keys / "heron.key").symlink_to("mounted")
+    (keys / "mounted").chmod(0o400)
+    assert read(keys, "heron").names == ("heron",)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives a file away")
+@pytest.mark.parametrize("mode", [0o644, 0o640, 0o604])
+def test_one_command_helps_with_a_key_of_another_user(mode: int, keys: Path) -> None:
+    key = keys / "heron.key"
+    os.chown(key, 61_234, 61_234)
+    key.chmod(mode)
+    with pytest.raises(CredentialsError, match="can read it") as refused:
+        read(keys, "heron")
+    subprocess.run(str(refused.value).split("`")[1], shell=True, check=True, timeout=10)
+    assert read(keys, "heron").names == ("heron",)
+
+
 def test_a_key_of_roots_may_be_read_by_the_group_of_a_service_and_nobody_elses() -> None:
     root, user = 0, 1000
     for mode in (0o400, 0o600, 0o700):
@@ -202,6 +221,7 @@ def test_a_key_of_roots_may_be_read_by_the_group_of_a_service_and_nobody_elses()
     for mode in (0o440, 0o640):
         assert exposure(mode, owner=root) == ""
         assert exposure(mode, owner=user) == f"its group can read it (mode {mode:04o})"
+        assert exposure(mode, owner=user, in_private_group=True) == ""
     for mode in (0o620, 0o660, 0o650):
         assert exposure(mode, owner=root).startswith("its group can change it")
     for mode in (0o644, 0o606, 0o604):

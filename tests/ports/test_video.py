@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import os
 import threading
 import time
 from collections.abc import AsyncIterator, Iterator
@@ -289,3 +290,67 @@ def test_the_first_frames_of_a_film_are_photos_to_measure_with(tmp_path: Path) -
     assert len(read_frames(tmp_path / "film.avi", most=9)) == 3
     with pytest.raises(CameraError, match="it is no whole film that FFmpeg reads: copy it again"):
         read_frames(Path(__file__), most=1)
+
+
+def test_only_a_film_is_played_at_its_own_pace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cv2, "VideoCapture", Source)  # which has 9 frames, 9 a second
+    for name in ("film.mp4", "camera.sdp"):
+        (tmp_path / name).touch()
+    os.mkfifo(tmp_path / "camera.mjpg")
+    live: list[int | str] = [
+        *(0, "/dev/video0", "rtsp://camera/stream", "v4l2src ! appsink"),
+        *(str(tmp_path / name) for name in ("camera.sdp", "camera.mjpg")),
+    ]
+    assert [video._Capture(source).interval_s for source in live] == [None] * 6
+    assert video._Capture(str(tmp_path / "film.mp4")).interval_s == pytest.approx(1 / 9)
+    monkeypatch.setattr(Source, "get", lambda *_: 0.0)  # as a stream of unknown length
+    assert video._Capture(str(tmp_path / "film.mp4")).interval_s is None
+
+
+def test_a_film_keeps_its_pace_and_says_once_that_it_falls_behind() -> None:
+    pace, now_s = video.FilmPace(0.1, 0.0), 0.0
+    for _ in range(50):
+        now_s += pace.pause_s(now_s) + 0.04  # of decoding
+        assert not pace.falls_behind(now_s)
+    assert now_s == pytest.approx(5.04)
+    said = []
+    for _ in range(50):
+        now_s += pace.pause_s(now_s) + 0.2
+        said.append(pace.falls_behind(now_s))
+    assert sum(said) == 1
+    assert video.FilmPace(None, 0.0).pause_s(5.0) == 0.0
+
+
+async def test_no_photo_is_older_than_stated_after_the_reader_was_held_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    period_s, began_s = 0.02, time.monotonic()
+
+    class Buffering(Source):
+        frame = 0
+        slow = False
+
+        def grab(self, *_: object) -> bool:
+            self.frame += 1
+            time.sleep(max(0.002, began_s + period_s * self.frame - time.monotonic()))
+            return True
+
+        def get(self, _: int) -> float:
+            return 1000 * period_s * self.frame
+
+        def retrieve(self) -> tuple[bool, object]:
+            if not Buffering.slow and self.frame > 20:
+                Buffering.slow = True
+                time.sleep(1.2)  # as of a computer that is busy
+            return True, np.full((48, 64), 2 * (self.frame % 100), np.uint8)
+
+    monkeypatch.setattr(cv2, "VideoCapture", Buffering)
+    with contextlib.closing(await VideoCamera.open("/dev/video0", oldest_s=0.5)) as camera:
+        await asyncio.sleep(0.6)
+        for _ in range(3):
+            photo = await camera.take_photo(HERE)
+            shown = cv2.imdecode(np.frombuffer(photo.jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+            assert shown is not None
+            turns_s = (time.monotonic() - began_s - period_s * float(shown.mean()) / 2) % (100 * period_s)
+            assert min(turns_s, 100 * period_s - turns_s) < 0.5
+    assert Buffering.slow

@@ -71,6 +71,14 @@ def test_the_images_of_a_bag_are_a_cameras_photos_again_and_again(bag: Path) -> 
     assert asyncio.run(take()) == [JPEG, JPEG]
 
 
+def test_a_folder_without_metadata_is_read_by_its_one_file(bag: Path) -> None:
+    (bag / "metadata.yaml").unlink()
+    BagCamera(bag, None, photo_s=0.0, lens=None)
+    (bag / "second.db3").touch()
+    with pytest.raises(UsageError, match=r"not one \.mcap or \.db3 file"):
+        BagCamera(bag, None, photo_s=0.0, lens=None)
+
+
 def test_a_bag_that_is_none_or_lacks_the_topic_is_named(bag: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="cannot be read as a ROS 2 bag"):
         BagCamera(tmp_path / "photos", None, photo_s=0.0, lens=None)

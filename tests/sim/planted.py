@@ -422,6 +422,19 @@ def pause_ignored(original: Any, self: Server, pause_s: float, now_s: float) -> 
     pass
 
 
+@planting("a server that was found stopped counts as running, and nothing bounds the pace of selections")
+def stopped_counts_as_running() -> Planting:
+    deselect, planted = Server.deselect, contextlib.ExitStack()
+
+    def believed_running(self: Server, **how: Any) -> Any:
+        self.start_requested = self.start_requested or self.found_stopped
+        return deselect(self, **how)
+
+    planted.enter_context(patch.object(Server, "deselect", believed_running))
+    planted.enter_context(patch.object(Radios, "_is_put_off", lambda *_: False))
+    return planted
+
+
 def main() -> None:
     """Plants each defect, flies worlds until one breaks a promise, and prints or keeps the table."""
     keeps, kept = "--keep" in sys.argv, []

@@ -89,6 +89,7 @@ FOUND_BY_SEED = {
     "an act on an object is done at the waypoint of its photo": 61,
     "findings are placed by the last photo": 85,
     "answers are told before the way down": 61,
+    "a server that was found stopped counts as running, and nothing bounds the pace of selections": 1394,
 }
 
 

@@ -130,6 +130,13 @@ def test_instances_that_crash_as_the_lease_is_renewed_are_started_again() -> Non
     assert events(run, "call")[-1]["place"] == "s1"
 
 
+def test_instances_have_ended_after_a_power_cut() -> None:
+    run = fly(fault("s1", "power-cut", from_s=22.3, to_s=22.4), policy={"blacklist_s": 1.0})
+    assert first(run, "remote_failed")["why"].endswith("s1 lost its power")
+    assert len(events(run, "started")) == 2
+    assert events(run, "call")[-1]["place"] == "s1"
+
+
 def test_strangers_take_no_slot_that_the_drone_holds() -> None:
     run = fly(fault("s1", "full", from_s=11.6))
     assert run.result.totals.fallbacks == 0

@@ -229,7 +229,7 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Where photos come from: one source."""
 
     photo_s: values.NotNegative = 1.0
-    """The time of a photo, in seconds; a device takes its own time."""
+    """The time of a photo, in seconds; of a device the oldest that a photo may be beyond `latency_s`, at least 1."""
     folder: values.FilePath | None = None
     """A folder whose JPEG and PNG files are the photos, in turn."""
     device: values.VideoSource | None = None

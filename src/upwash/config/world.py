@@ -18,7 +18,7 @@ ShiftInMetres = Annotated[
 Lie = Literal["elsewhere", "unwanted", "oversized", "lease", "types", "faults", "control"]
 FaultKind = Literal[
     "off", "stuck", "slow", "garbage", "wrong", "lying", "flapping", "full", "crash",
-    "hung", "poisoned", "unstartable",
+    "power-cut", "hung", "poisoned", "unstartable",
     "pilot", "fail-safe", "diverted", "home", "jump", "restart", "impostor",
     "hovers", "rally", "battery", "files", "threads", "memory", "disk",
 ]  # fmt: skip

@@ -29,7 +29,7 @@ from upwash.real.camera.camera import FolderCamera, photo_files, read_photo_file
 from upwash.real.camera.video import VideoCamera
 from upwash.services.photo import other_format
 from upwash.sim.camera import RenderedCamera
-from upwash.support.jpeg import EOI, segments_of
+from upwash.support.jpeg import EOI, segments_of, size_of
 from upwash.support.loading import extra
 from upwash.support.text import counted
 
@@ -42,6 +42,7 @@ _MOST_FILES = 2000  # of a folder: a card may hold more than a person waits for
 _MOST_S = 60.0
 _MOST_NAMED = 5
 _APART_S = 1.0  # between two photos that cannot be the same
+_LEAST_AGE_S = 1.0  # that a device's photo may have: a large frame takes some time to become a JPEG
 _DARKEST = 16  # of 255: what a sensor shows behind its cap
 
 
@@ -136,7 +137,12 @@ async def opened_camera(
         assert config.device is not None  # noqa: S101
         camera = stack.enter_context(
             contextlib.closing(
-                await VideoCamera.open(config.device, latency_s=config.latency_s, lens=lens_of(config))
+                await VideoCamera.open(
+                    config.device,
+                    latency_s=config.latency_s,
+                    oldest_s=max(_LEAST_AGE_S, config.photo_s),
+                    lens=lens_of(config),
+                )
             )
         )
     return camera
@@ -179,18 +185,32 @@ async def look(config: DroneConfig) -> Look:
     """
     if not needs_camera(config):
         return Look({})
+    lens = lens_of(config.camera)
     if config.camera.folder is not None:
-        return await asyncio.to_thread(_look_at_files, config.camera.folder)
+        seen = await asyncio.to_thread(_look_at_files, config.camera.folder)
+        return Look(seen.photos, (*seen.troubles, *_misfits(lens, seen.photos)))
     async with contextlib.AsyncExitStack() as stack:
         camera = await opened_camera(config.camera, stack)
         here = Position(0.0, 0.0, config.mission.altitude_m)
         first = await camera.take_photo(here)
         photos = {first.source: first.jpeg}
         if config.camera.device is None and (config.camera.topic is None or config.camera.bag is not None):
-            return Look(photos)
+            return Look(photos, tuple(_misfits(lens, photos)))
         await asyncio.sleep(_APART_S)
         second = await camera.take_photo(here)
-    return Look(photos, tuple(_device_troubles(first.source, first.jpeg, second.jpeg)))
+    return Look(photos, (*_device_troubles(first.source, first.jpeg, second.jpeg), *_misfits(lens, photos)))
+
+
+def _misfits(lens: Lens | None, photos: Mapping[str, bytes]) -> Iterator[str]:
+    """The first photo that the calibration does not fit."""
+    for name, jpeg in photos.items():
+        size_px = size_of(jpeg)
+        if lens is not None and size_px is not None and min(size_px) > 0 and not lens.fits(size_px):
+            yield (
+                f"camera.calibration is of pictures with another ratio of width to height than {name}, which has "
+                f"{size_px[0]} x {size_px[1]} pixels: findings have no places; calibrate with photos of that size"
+            )
+            return
 
 
 def _look_at_files(folder: Path) -> Look:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import contextlib
 import functools
 import http.client
@@ -18,7 +19,8 @@ from datetime import datetime, timedelta
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, unquote, urlsplit
+from urllib.request import getproxies_environment, proxy_bypass
 from xml.etree import ElementTree
 
 import msgspec
@@ -127,16 +129,26 @@ class Program:
 
 
 class Webhook:
-    """A URL that gets each finding by POST. A status of 2xx takes it; redirects are not followed."""
+    """A URL that gets each finding by POST. A status of 2xx takes it; redirects are not followed.
+
+    The proxy of the environment (`http_proxy`, `https_proxy`, `no_proxy`) is used, except for a token in the clear.
+    Raises UsageError for a proxy that is no `http://` URL.
+    """
 
     def __init__(self, url: str, token: str | None) -> None:
         self._url = urlsplit(url)
         self._context = ssl.create_default_context() if self._url.scheme == "https" else None
         self._target = (self._url.path or "/") + (f"?{self._url.query}" if self._url.query else "")
+        self._proxy = None if token is not None and self._context is None else _proxy_for(self._url)
         self._headers = {"Content-Type": "application/json", "User-Agent": "upwash", "Connection": "close"}
         if token is not None:
             self._headers["Authorization"] = f"Bearer {token}"
         self.name = f"the webhook at {self._url.hostname}"  # the rest of many such URLs is a secret
+        if self._proxy is not None:
+            self.name += f", through the proxy {self._proxy.hostname}"
+            if self._context is None:
+                self._target = f"http://{self._url.netloc.rpartition('@')[2]}{self._target}"
+                self._headers |= _authorization(self._proxy)
 
     async def take(self, facts: Facts) -> None:
         """Sends it; the connection is cut where no status came in time, and the body of an answer is not read."""
@@ -158,10 +170,17 @@ class Webhook:
             raise NotTaken(said, for_good=not again)
 
     def _connection(self) -> http.client.HTTPConnection:
-        host = self._url.hostname or ""
+        place = self._proxy or self._url
+        host = place.hostname or ""
         if self._context is None:
-            return http.client.HTTPConnection(host, self._url.port, timeout=_LIMIT_S)
-        return http.client.HTTPSConnection(host, self._url.port, timeout=_LIMIT_S, context=self._context)
+            return http.client.HTTPConnection(host, place.port, timeout=_LIMIT_S)
+        if self._proxy is None:
+            return http.client.HTTPSConnection(host, place.port, timeout=_LIMIT_S, context=self._context)
+        connection = http.client.HTTPSConnection(
+            host, place.port or http.client.HTTP_PORT, timeout=_LIMIT_S, context=self._context
+        )
+        connection.set_tunnel(self._url.hostname or "", self._url.port, _authorization(self._proxy))
+        return connection
 
     def _post(self, connection: http.client.HTTPConnection, body: bytes, given_up: threading.Event) -> int:
         """The status of the answer; in a thread."""
@@ -175,6 +194,26 @@ class Webhook:
             connection.close()
 
 
+def _proxy_for(url: SplitResult) -> SplitResult | None:
+    proxy = getproxies_environment().get(url.scheme)
+    if not proxy or proxy_bypass(url.netloc.rpartition("@")[2]):
+        return None
+    split = urlsplit(proxy if "://" in proxy else f"http://{proxy}")
+    if split.scheme != "http" or not split.hostname:
+        raise UsageError(
+            f"{url.scheme}_proxy: expected an http:// URL of a proxy; correct it, or set no_proxy"
+        )
+    return split
+
+
+def _authorization(proxy: SplitResult) -> dict[str, str]:
+    """The header with the user and the password of the proxy's URL, if it has them."""
+    if proxy.username is None:
+        return {}
+    secret = f"{unquote(proxy.username)}:{unquote(proxy.password or '')}".encode()
+    return {"Proxy-Authorization": f"Basic {base64.b64encode(secret).decode()}"}
+
+
 def _why(error: OSError | http.client.HTTPException) -> str:
     match error:
         case TimeoutError():
@@ -186,7 +225,9 @@ def _why(error: OSError | http.client.HTTPException) -> str:
         case http.client.RemoteDisconnected():
             return "it closed the connection without an answer"
         case OSError():
-            return f"it is not reached: {error.strerror or type(error).__name__}"
+            return (
+                f"it is not reached: {error.strerror or printable(str(error), 100) or type(error).__name__}"
+            )
     return "its answer is not HTTP"
 
 

@@ -15,6 +15,7 @@ from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.progress import CallPlaces
 from upwash.eventlog.results import RunResult, as_json
+from upwash.report.antimeridian import cut_line, cut_ring
 from upwash.report.palette import LIGHT
 from upwash.report.record import Record, reviewed_of
 from upwash.support.text import escaped
@@ -105,7 +106,7 @@ def plan_geojson(record: Record) -> str | None:
     way = [_degrees(frame, Position(east_m, north_m)) for east_m, north_m in record.plan.way_m]
     features = list(_planned(record, frame))
     if len(way) > 1:  # one place is no line
-        features.append(_feature(record, "plan", "LineString", way))
+        features.append(_line(record, "plan", way))
     for feature in features:
         facts = feature["properties"]
         server = facts.get("server")
@@ -123,10 +124,9 @@ def _features(record: Record) -> Iterator[dict[str, Any]]:
         )
     frame = LocalFrame(record.plan.home)
     yield from _planned(record, frame)
-    track = [(_degrees(frame, fix.position), fix.at_s) for fix in record.track]
+    track = [(*_degrees(frame, fix.position), fix.at_s) for fix in record.track]
     if len(track) > 1:
-        places, at_s = zip(*track, strict=True)
-        yield _feature(record, "track", "LineString", places, at_s=at_s)
+        yield _line(record, "track", track)
     for waypoint, place in record.turns:
         yield _feature(record, "turn", "Point", _degrees(frame, place), waypoint=waypoint)
     for call in record.calls:
@@ -182,10 +182,23 @@ def _photos(record: Record, frame: LocalFrame) -> Iterator[dict[str, Any]]:
 def _planned(record: Record, frame: LocalFrame) -> Iterator[dict[str, Any]]:
     yield _feature(record, "home", "Point", _degrees(frame, Position(0.0, 0.0)))
     for name, area in record.plan.ranges.items():
-        yield _feature(record, "range", "Polygon", [_ring(frame, area)], server=name, range_m=area.radius_m)
+        rings = [[ring] for ring in cut_ring(_ring(frame, area))]
+        shape, coordinates = ("Polygon", rings[0]) if len(rings) == 1 else ("MultiPolygon", rings)
+        yield _feature(record, "range", shape, coordinates, server=name, range_m=area.radius_m)
     for index, (east_m, north_m) in enumerate(record.plan.waypoints_m):
         place = _degrees(frame, Position(east_m, north_m))
         yield _feature(record, "waypoint", "Point", place, waypoint=index)
+
+
+def _line(record: Record, kind: str, places: Sequence[Sequence[float]]) -> dict[str, Any]:
+    """A line, in parts where it crosses the antimeridian; a third number of the places is their time."""
+    parts = cut_line(places)
+    lines = [[place[:2] for place in part] for part in parts]
+    times_s = [[at_s for _, _, *at in part for at_s in at] for part in parts]
+    has_times = len(places[0]) > 2
+    if len(parts) == 1:
+        return _feature(record, kind, "LineString", lines[0], **({"at_s": times_s[0]} if has_times else {}))
+    return _feature(record, kind, "MultiLineString", lines, **({"at_s": times_s} if has_times else {}))
 
 
 def _feature(record: Record, kind: str, shape: str, coordinates: object, **facts: object) -> dict[str, Any]:

@@ -215,10 +215,23 @@ def in_8_bits(image: MatLike) -> MatLike:
         return image
     if image.ndim == 3 and image.shape[2] > 1:
         return np.right_shift(image, 8).astype(np.uint8)
-    low, high = (float(value) for value in np.percentile(image, (_OUTLIERS, 100 - _OUTLIERS)))
-    span = max(_LEAST_SPAN, high - low)
+    return stretched(image, least_span=_LEAST_SPAN)
+
+
+def stretched(image: MatLike, *, least_span: float) -> MatLike:
+    """The grey image with 8 bits: its darkest and brightest thousandth black and white, at least that far apart.
+
+    What is not finite is black, and does not count. Raises NotAPhoto if nothing is finite.
+    """
+    import numpy as np
+
+    known = np.isfinite(image)
+    if not known.any():
+        raise NotAPhoto("an image has no finite number")
+    low, high = (float(value) for value in np.percentile(image[known], (_OUTLIERS, 100 - _OUTLIERS)))
+    span = max(least_span, high - low)
     low = (low + high - span) / 2
-    scaled: Floats = (image - np.float32(low)) * np.float32(255 / span)
+    scaled: Floats = (np.where(known, image, np.float32(low)) - np.float32(low)) * np.float32(255 / span)
     return np.clip(scaled, 0, 255).astype(np.uint8)
 
 

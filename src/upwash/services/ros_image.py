@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from upwash.errors import CameraError
-from upwash.services.photo import MAX_PHOTO_PIXELS, NotAPhoto, in_8_bits, jpeg_of, other_format
+from upwash.services.photo import MAX_PHOTO_PIXELS, NotAPhoto, in_8_bits, jpeg_of, other_format, stretched
 from upwash.support.loading import extra
 from upwash.support.text import printable
 
 _JPEG_QUALITY = 95
 _JPEG, _PNG = b"\xff\xd8\xff", b"\x89PNG"
+_ROWS = {
+    "nv12": 1.5,
+    "nv21": 1.5,
+}  # for each row of pixels: half as many rows of colours follow the grey ones
+_LEAST_SPAN = 1.0  # of floats: a kelvin of a thermal camera, a metre of a depth camera
 # Of `sensor_msgs/image_encodings`: the bytes of a channel, the channels, and the conversion to OpenCV's order.
 ENCODINGS: dict[str, tuple[int, int, str]] = {
     "rgb8": (1, 3, "RGB2BGR"),
@@ -22,6 +28,7 @@ ENCODINGS: dict[str, tuple[int, int, str]] = {
     "8UC1": (1, 1, ""),
     "mono16": (2, 1, ""),
     "16UC1": (2, 1, ""),
+    "32FC1": (4, 1, ""),
     "rgb16": (2, 3, "RGB2BGR"),
     "bgr16": (2, 3, ""),
     "bayer_rggb8": (1, 1, "BayerBG2BGR"),
@@ -32,6 +39,8 @@ ENCODINGS: dict[str, tuple[int, int, str]] = {
     "uyvy": (1, 2, "YUV2BGR_UYVY"),
     "yuv422_yuy2": (1, 2, "YUV2BGR_YUY2"),
     "yuyv": (1, 2, "YUV2BGR_YUY2"),
+    "nv12": (1, 1, "YUV2BGR_NV12"),
+    "nv21": (1, 1, "YUV2BGR_NV21"),
 }
 
 
@@ -67,8 +76,8 @@ def _encoded(image: Any) -> bytes:
         )
     size, channels, conversion = ENCODINGS[image.encoding]
     high, wide, step, data = image.height, image.width, image.step, image.data
-    least = wide * channels * size
-    if not 0 < high * wide <= MAX_PHOTO_PIXELS or step < least or len(data) < step * high:
+    least, rows_high = wide * channels * size, math.ceil(_ROWS.get(image.encoding, 1) * high)
+    if not 0 < high * wide <= MAX_PHOTO_PIXELS or step < least or len(data) < step * rows_high:
         raise NotAPhoto(
             f"an image says that it has {wide} x {high} pixels of {image.encoding} in rows of {step} bytes, and has "
             f"{len(data):,} bytes"
@@ -76,10 +85,13 @@ def _encoded(image: Any) -> bytes:
     with extra("detector"):
         import cv2
         import numpy as np
-    rows = np.frombuffer(data, np.uint8, count=step * high).reshape(high, step)[:, :least]
+    rows = np.frombuffer(data, np.uint8, count=step * rows_high).reshape(rows_high, step)[:, :least]
     order = ">" if image.is_bigendian else "<"
-    pixels = np.ascontiguousarray(rows).view(f"{order}u{size}").reshape(high, wide, channels)
-    if size == 2:
+    kind = "f" if image.encoding == "32FC1" else "u"
+    pixels = np.ascontiguousarray(rows).view(f"{order}{kind}{size}").reshape(rows_high, wide, channels)
+    if kind == "f":
+        pixels = stretched(pixels, least_span=_LEAST_SPAN)
+    elif size > 1:
         pixels = in_8_bits(pixels.astype(np.uint16))
     try:
         if conversion:

@@ -1,8 +1,8 @@
 """What goes wrong in a simulated world, where and when: docs/faults.md says what each kind of fault and of lie does.
 
 The programs know nothing of it: faults sit in the models around them. Instances that run when a fault begins still
-run when it is over, except those of `crash`, `hung`, `poisoned` and `unstartable`. Each kind of lie changes an honest
-reply in several ways, in turn.
+run when it is over, except those of `crash`, `power-cut`, `hung`, `poisoned` and `unstartable`. Each kind of lie
+changes an honest reply in several ways, in turn.
 """
 
 from __future__ import annotations
@@ -38,10 +38,11 @@ from upwash.support.background import never
 _FLAP_S = 5.0
 _LEAST_STEP_S = 1e-6  # so that a flap that rounding puts at this very moment is waited for, too
 _MOVING = ("off", "stuck", "slow", "flapping")  # what can befall links and the autopilot
+_AS_OFF = ("flapping", "power-cut")
 _MOST_STRANGERS = 64
 _SERVER = (
     *(*_MOVING, "garbage", "wrong", "lying", "full"),
-    *("crash", "hung", "poisoned", "unstartable"),
+    *("crash", "power-cut", "hung", "poisoned", "unstartable"),
 )
 _INCIDENTS = (
     "pilot",
@@ -99,13 +100,13 @@ class Faults:
         self._faults = [fault for fault in faults if fault.kind not in _INCIDENTS + _SETTINGS]
 
     def now(self, target: str) -> FaultConfig | None:
-        """The present fault of the target, the first if there are several; flapping is returned as off."""
+        """The present fault of the target, the first if there are several; off if it flaps or has no power."""
         if not self._faults:
             return None
         now_s = asyncio.get_running_loop().time()
         for fault in self._faults:
             if fault.target == target and fault.from_s <= now_s < fault.to_s and _is_on(fault, now_s):
-                return msgspec.structs.replace(fault, kind="off") if fault.kind == "flapping" else fault
+                return msgspec.structs.replace(fault, kind="off") if fault.kind in _AS_OFF else fault
         return None
 
     async def change(self, target: str) -> None:
@@ -116,6 +117,15 @@ class Faults:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout_at(next_s if next_s < math.inf else None):
                 await never()
+
+    def power_cuts(self, target: str) -> int:
+        """How many power cuts of the target have begun."""
+        return sum(
+            fault.target == target
+            and fault.kind == "power-cut"
+            and fault.from_s <= asyncio.get_running_loop().time()
+            for fault in self._faults
+        )
 
     async def befalls(self, target: str, kind: str) -> None:
         """Wait until the target has a fault of that kind."""
@@ -155,6 +165,8 @@ class FaultyServer:
         self._board = board
         self._faults = faults
         self._strangers: list[Client] = []  # that have taken all slots
+        self._power_cuts = 0  # whose instances have ended
+        self._crash: Callable[[str], None]
 
     def plug(self, address: str, handler: Handler) -> None:
         """Let the instance answer at that port of the server, subject to the faults."""
@@ -196,18 +208,29 @@ class FaultyServer:
             self._strangers.clear()
             return await daemon(path, body, client)
 
+        self._crash = crash
         self._board.plug(self._address, answer)
 
     async def _suffering(self, ask: Callable[[], Awaitable[bytes]]) -> bytes:
         await self._endure()
         reply = await ask()
+        if self._lose_power():
+            raise Unreachable(f"{self._name} lost its power")
         fault = self._faults.now(self._name)
         if fault is not None and fault.kind == "slow":
             await asyncio.sleep(fault.extra_s)
         await self._endure()
         return _UNDECODABLE if self._kind() == "garbage" else reply
 
+    def _lose_power(self) -> bool:
+        """Whether a power cut began since the last look: then all instances end."""
+        before, self._power_cuts = self._power_cuts, self._faults.power_cuts(self._name)
+        if self._power_cuts > before:
+            self._crash("lost its power")
+        return self._power_cuts > before
+
     async def _endure(self) -> None:
+        self._lose_power()
         match self._kind():
             case "off":
                 raise Unreachable(f"{self._name} does not answer")

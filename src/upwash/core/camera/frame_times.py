@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from statistics import median
 
@@ -17,16 +18,23 @@ class FrameTimes:
 
     After a gap, frames that arrive in less than three quarters of the usual interval are old: each was captured one
     usual interval after the frame before it. The first frame at the usual pace is new, and each frame when the burst
-    has made up for the gap.
+    has made up for the gap. A frame for which the reader did not wait may have waited itself, in a buffer: its age is
+    counted by the stream's own times, from the last frame for which the reader waited.
     """
 
     def __init__(self) -> None:
         self._arrived_s: float | None = None
         self._intervals_s: deque[float] = deque(maxlen=_KEPT)
         self._late_s = 0.0
+        self._ahead_s = math.inf  # the clock, of the stream's times, when the buffer was last empty
+        self._stamp_s = 0.0
 
-    def captured_s(self, arrived_s: float) -> float:
-        """When the frame that arrives now was captured, if a stream without stalls delivers at once."""
+    def captured_s(self, arrived_s: float, *, waited_s: float = math.inf, stamp_s: float = 0.0) -> float:
+        """When the frame that arrives now was captured, if a stream without stalls delivers at once.
+
+        The reader waited `waited_s` for it; `stamp_s` is its time in the stream, 0 if unknown.
+        """
+        buffered_s = self._buffered_s(arrived_s, waited_s, stamp_s)
         interval_s = 0.0 if self._arrived_s is None else arrived_s - self._arrived_s
         known, self._arrived_s = self._arrived_s is not None, arrived_s
         if len(self._intervals_s) >= _FEWEST:
@@ -40,4 +48,12 @@ class FrameTimes:
             known = not in_burst
         if known:
             self._intervals_s.append(interval_s)
-        return arrived_s - self._late_s
+        return arrived_s - max(self._late_s, buffered_s)
+
+    def _buffered_s(self, arrived_s: float, waited_s: float, stamp_s: float) -> float:
+        interval_s, self._stamp_s = stamp_s - self._stamp_s, stamp_s
+        ahead_s = arrived_s - stamp_s
+        if interval_s <= 0 or waited_s >= _PACE * interval_s:
+            self._ahead_s = ahead_s
+        self._ahead_s = min(self._ahead_s, ahead_s)
+        return ahead_s - self._ahead_s

@@ -240,6 +240,8 @@ def sight_of(photo: PhotoGeometry) -> Sight | Unplaced:
         return Unplaced("the drone was not above the ground")
     if lens.fov_deg is None and lens.focal_px is None:
         return Unplaced("the camera's lens is unknown")
+    if not lens.fits(photo.size_px):
+        return Unplaced("the calibration is of pictures with another ratio of width to height")
     tilt_deg, heading_deg, assumes = accuracy.tilt_deg, accuracy.heading_deg, ""
     if lens.up_deg is not None:
         attitude = Attitude(0.0, 0.0, lens.up_deg)

@@ -16,6 +16,7 @@ _Length = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
 _Angle = Annotated[float, msgspec.Meta(ge=-360, le=360)]
 _STEPS = 20  # of the iteration that takes the distortion out
 _CLOSE = 1e-9
+_SAME_RATIO = 0.01  # as of pictures of 1640 x 1232 and 640 x 480 pixels of one sensor
 
 
 class Lens(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -25,7 +26,8 @@ class Lens(msgspec.Struct, frozen=True, omit_defaults=True):
     p1, p2 and k3 of OpenCV's model. `tilt_deg` is how far below the horizon a level vehicle's camera looks, and
     `turned_deg` how far right of the nose. `up_deg` is the direction that is up in every photo, clockwise from north,
     for a camera that is always level; None means that the camera moves with the vehicle. `on_gimbal` says that a
-    gimbal keeps it level. `scale_error` is the standard error of the focal length, as a share.
+    gimbal keeps it level. `scale_error` is the standard error of the focal length, as a share. `ratio` is the width
+    of the calibrated pictures by their height; it may be unknown.
     """
 
     fov_deg: Annotated[float, msgspec.Meta(ge=1, le=170)] | None = None
@@ -37,6 +39,11 @@ class Lens(msgspec.Struct, frozen=True, omit_defaults=True):
     up_deg: _Angle | None = None
     on_gimbal: bool = False
     scale_error: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.01
+    ratio: Annotated[float, msgspec.Meta(gt=0)] | None = None
+
+    def fits(self, size_px: Size) -> bool:
+        """Whether a photo of that size shows what the calibrated pictures show, at any scale."""
+        return self.ratio is None or abs(size_px[0] / size_px[1] / self.ratio - 1) <= _SAME_RATIO
 
     def focal_in(self, size_px: Size) -> float:
         """The focal length in pixels of a photo of that size."""

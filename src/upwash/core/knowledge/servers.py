@@ -109,6 +109,7 @@ class Server:
     since_s: float = 0.0  # when the state was entered
     check: int = 0  # the number of the latest check of it
     checked_since_s: float = 0.0  # t_check: when it was last selected
+    found_stopped: bool = False  # as its daemon answered in the check that runs, or the last one
     start_requested: bool = False  # during the check that runs, or the last one
     joined_before: bool = False  # its network was joined before that check, by a probe or a turn there
     refused: bool = False  # a slot, in the check that runs, or the last one
@@ -160,7 +161,7 @@ class Server:
         self.since_s = now_s
         if event in (Trigger.SELECTED, Trigger.TURN_OVER):
             self.checked_since_s = now_s
-            self.start_requested = self.refused = False
+            self.found_stopped = self.start_requested = self.refused = False
         return change
 
     def leave_out(self, pause_s: float, now_s: float) -> None:

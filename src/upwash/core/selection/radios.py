@@ -18,6 +18,7 @@ A server has one of three roles, or none. Each role takes one radio.
 
 Laws:
 - no more servers have a role than there are radios;
+- no more than four servers are selected within one second, whatever servers answer;
 - a check, and a probe, is known by its number; an answer to an earlier number finds no server here;
 - without a spare radio a server is left before the next one is checked;
 - a server that failed and was probed is left, unless its sign of life has it checked: then its network stays joined.
@@ -25,18 +26,21 @@ Laws:
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import SELECTED, Server, ServerTable, State, Trigger
 from upwash.core.operation import Operation
-from upwash.core.selection.commands import Check, Effect, Leave, Preferred, Probe
+from upwash.core.selection.commands import Check, Effect, Leave, Preferred, Probe, Start
 from upwash.core.selection.recovery import REST_S, Recovery
 from upwash.core.selection.settings import SelectionSettings
 
 _CHECK_LEAST_S = 10.0
 _CHECK_FACTOR = 3.0  # times the estimate: a check that takes longer has failed
+MOST_SELECTED, SELECTED_IN_S = 4, 1.0
 
 
 def check_limit_s(believed_s: float) -> float:
@@ -54,7 +58,11 @@ class Radios:
     _recovery: Recovery | None
     selected: list[Server] = field(default_factory=list)  # the one in use, then the one in preparation
     probed: list[Server] = field(default_factory=list)
+    put_off_until_s: float = math.inf  # when a server may be selected that was selected too soon after others
     _checks: int = 0
+    _selected_s: deque[float] = field(
+        default_factory=lambda: deque([-math.inf] * MOST_SELECTED, MOST_SELECTED)
+    )
 
     @property
     def in_use(self) -> Server | None:
@@ -84,6 +92,8 @@ class Radios:
 
         With a spare radio and `keep`, the former server stays in use until the new server is READY.
         """
+        if server not in self.selected and self._is_put_off(now_s):
+            return []
         is_ready = server in self.selected and server.state is State.READY
         if keep and self.has_spare and not is_ready:
             return self.prepare(server, why, now_s)
@@ -94,8 +104,21 @@ class Radios:
         """Check the server with a spare radio; leave the server that this radio prepared before."""
         if not self.has_spare or server in self.selected or server.state is State.BLACKLISTED:
             return []
+        if self._is_put_off(now_s):
+            return []
         effects = self._replace(self.selected[1:], server, why, now_s)
         return effects + self._check(server, why, now_s)
+
+    def start(self) -> list[Effect]:
+        """Ask the selected servers that were found stopped to start the services, once in a check."""
+        stopped = [
+            server
+            for server in self.selected
+            if server.state is State.CHECK and server.found_stopped and not server.start_requested
+        ]
+        for server in stopped:
+            server.start_requested = True
+        return [Start(server.name, server.check, self.limit_s(server, running=False)) for server in stopped]
 
     def prefer(self, server: Server, why: str) -> list[Effect]:
         """Use a server that is READY in preparation, and keep the one in use as the one in preparation."""
@@ -170,6 +193,12 @@ class Radios:
             self.probed.remove(server)
         return [Leave(server.name, server.check) for server in servers]
 
+    def _is_put_off(self, now_s: float) -> bool:
+        allowed_s = self._selected_s[0] + SELECTED_IN_S
+        if now_s < allowed_s:
+            self.put_off_until_s = allowed_s
+        return now_s < allowed_s
+
     @property
     def _free(self) -> int:
         return self._settings.radios - len(self.selected) - len(self.probed)
@@ -184,6 +213,7 @@ class Radios:
             self.probed.remove(server)
         leaving = self.end_probes(self.probed[:1]) if self._free < 1 else []
         self.selected.append(server)
+        self._selected_s.append(now_s)
         change = server.apply(Trigger.SELECTED, now_s=now_s, why=why)
         self._table.meet()
         return [*leaving, change, Check(server.name, server.check, self.limit_s(server, running=True))]

@@ -14,6 +14,8 @@ Laws:
 - during the descent no server is selected, unless a call is open or the mission calls again;
 - a call that only servers compute waits for one, and has a server wanted until it is over;
 - each event ends with a new look at the selection; a decision on a call may leave a server, but selects none;
+- the services of a server that was found stopped are started after that look, if the server is still selected;
+- no more than four servers are selected within one second;
 - commands are carried out in their order; with one radio a server is selected after the former is left.
 """
 
@@ -37,7 +39,7 @@ from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import Choice, Decision, Lightened, Local, Policy, Remote
 from upwash.core.selection import events
 from upwash.core.selection.call_placement import CallPlacement, Place
-from upwash.core.selection.commands import Effect, Full, Mapped, ServerPaused, Start
+from upwash.core.selection.commands import Effect, Full, Mapped, ServerPaused
 from upwash.core.selection.events import SelectionEvent
 from upwash.core.selection.lanes import InLine, Lanes
 from upwash.core.selection.mission_times import Lighter, Timetable
@@ -132,6 +134,7 @@ class Selection:
             planning.forget_slow_calls(now_s)
         if effects or planning.is_due(now_s):
             effects += self._select(now_s, position)
+            effects += radios.start()
         effects += radios.end_probes(
             [server for server in radios.probed if server.state is not State.BLACKLISTED]
         )
@@ -361,17 +364,11 @@ class Selection:
             return []
         server.peers = frozenset(answer.peers) & self.servers.keys()
         server.full_s, server.contended_s = -math.inf, now_s if answer.waiting else -math.inf
+        self._planning.changed = True
         if answer.running:
             return [self._ready(server, Trigger.FOUND_RUNNING, now_s)]
-        if not server.in_range:
-            return []  # about to be de-selected: nothing is started for a drone that is gone
-        effects: list[Effect] = []
-        if server.state is State.CHECK_R:
-            effects.append(server.apply(Trigger.FOUND_STOPPED, now_s=now_s))
-        if not server.start_requested:
-            server.start_requested = True
-            effects.append(Start(server.name, server.check, self._radios.limit_s(server, running=False)))
-        return effects
+        server.found_stopped = True
+        return [server.apply(Trigger.FOUND_STOPPED, now_s=now_s)] if server.state is State.CHECK_R else []
 
     def _slot_refused(self, check: int, waiting: int, now_s: float) -> list[Effect]:
         server = self._radios.selected_by(check, CHECKING)
@@ -514,7 +511,7 @@ class Selection:
 
     def _select(self, now_s: float, position: Position) -> list[Effect]:
         radios, planning = self._radios, self._planning
-        planning.changed = False
+        planning.changed, radios.put_off_until_s = False, math.inf
         choice = Choice(None, self._unneeded) if self._unneeded else planning.choose(now_s, position)
         effects: list[Effect] = []
         for server in [server for server in radios.selected if not server.in_range]:

@@ -194,7 +194,7 @@ class ServerPlanning:
         """The time before which the policy need not decide again, unless an event comes first."""
         if self.changed:
             return now_s
-        look_s = self._prewarm.due_s
+        look_s = min(self._prewarm.due_s, self._radios.put_off_until_s)
         for server in self._table.in_range:
             slow_until_s = self._estimates.next_forgetting_s(server.name, retry_s=self._slow_for_s)
             look_s = min(look_s, slow_until_s, server.asked_again_s(now_s))
@@ -202,7 +202,8 @@ class ServerPlanning:
 
     def is_due(self, now_s: float) -> bool:
         """Whether the policy must decide now."""
-        return self.changed or self._prewarm.is_due(now_s) or self._short_of_slots(now_s) != self._short
+        due = self._prewarm.is_due(now_s) or now_s >= self._radios.put_off_until_s
+        return self.changed or due or self._short_of_slots(now_s) != self._short
 
     def choose(self, now_s: float, position: Position) -> Choice:
         """The policy's choice; a slow server in use is kept for trials if the policy chooses none."""

@@ -17,13 +17,15 @@ from upwash.lab.observer import Observation
 from upwash.rpc.protocol import AVAILABILITY, DENY, HEALTH_CHECK, LEAVE
 
 _SERVICE_PATH = "/upwash.service."
+_MOST_SELECTED, _SELECTED_IN_S = 4, 1.0
 
 
 def one_selection(history: History) -> Iterator[Breach]:
     """Each change starts where the last one ended and is the table's; one server and one network for each radio.
 
-    Of two servers that are selected the one in use was there first: calls go there.
+    Of two servers that are selected the one in use was there first: calls go there. Few are selected in a second.
     """
+    yield from _selected_too_often(history)
     radios = history.config.network.radios
     states: dict[str, State] = {}
     for event in history.run.events:
@@ -44,6 +46,14 @@ def one_selection(history: History) -> Iterator[Breach]:
         if fact.event == "joined" and joined.get(fact.radio):
             yield fact, f"{joined[fact.radio]} is still joined"
         joined[fact.radio] = fact.network if fact.event == "joined" else ""
+
+
+def _selected_too_often(history: History) -> Iterator[Breach]:
+    """Servers that are selected in turn, without end, as each is found stopped."""
+    selected = [event for event in history.run.events if isinstance(event, schema.Selected)]
+    for before, event in zip(selected, selected[_MOST_SELECTED:], strict=False):
+        if event.t - before.t < _SELECTED_IN_S - ROUNDING_S:
+            yield event, f"{_MOST_SELECTED} others were selected in the {event.t - before.t:.3f} s before"
 
 
 def _used_out_of_turn(history: History) -> Iterator[Breach]:

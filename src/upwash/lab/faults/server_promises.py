@@ -156,7 +156,7 @@ def _bound_s(truth: ServerTruth, others: int) -> float:
 
 
 _WATCH_S, _DRAIN_S = 5.0, 2.0  # of a daemon
-_FATAL = ("crash", "hung", "poisoned", "unstartable")  # for instances
+_FATAL = ("crash", "power-cut", "hung", "poisoned", "unstartable")  # for instances
 _IDLE_S = AdmissionSettings().idle_stop_s
 
 

@@ -40,6 +40,9 @@ _MOVED_M, _RAISED_M = (20.0, 100.0), (6.0, 15.0)  # by an incident, over the gro
 _ENDS_SHARE = 1 / 8  # of worlds: their returns hover or end at a rally point
 _RALLY_M = (8.0, 300.0)  # from the start
 _OBJECTS_APART_M = 14.0
+_COMES_BACK_SHARE = 1 / 16  # of scenarios: their drones come back among servers whose power was cut meanwhile
+_OVERLAP_M, _BEYOND_M = 15.0, 40.0
+_CUT_S = (0.5, 2.0, 5.0)
 _RESERVE_PERCENT, _SECOND_LASTS_S = 65.0, (60.0, 320.0)
 SEEDS_PER_SCENARIO = 4  # so that most of the time goes into flights with faults
 _MOMENTS = (
@@ -66,6 +69,9 @@ def moment_of(event: Event | Observation) -> Moment:
     return Moment(event.t, event.kind, at)
 
 
+_Aims = Sequence[Moment]
+
+
 class World:
     """The scenarios of some drones that share their servers; each seed adds faults of its own."""
 
@@ -81,6 +87,14 @@ class World:
         for number in range(2, 2 + chance.choices((0, 1, 2), (75, 19, 6))[0]):
             self._documents.append(_companion(self._documents[0], chance, number))
         self._documents = _with_fleet(self._documents, self._number)
+        own = stream("stopped servers", self._number)
+        self._comes_back = (
+            own.random() <= _COMES_BACK_SHARE
+            and len(document["server"]) > 1
+            and "photos" not in document["mission"]
+        )
+        if self._comes_back:
+            self._documents = [_coming_back(document, own) for document in self._documents]
 
     def calm(self) -> list[Document]:
         """The scenario of each drone, nothing going wrong."""
@@ -101,12 +115,53 @@ class World:
             own = stream(name, seed)
             if own.random() <= share:
                 faults += drawn(own, names, moments, events)
+        if self._comes_back:
+            faults += _power_cuts(stream("power cuts", seed), names, events)
         documents = self._documents
         own = stream("ends of returns", seed)
         if own.random() <= _ENDS_SHARE:
             faults += _ends_of_returns(own)
             documents = _with_reserve(documents, own, events[-1].t if events else 100.0)
         return [_with_least_charge({**document, "fault": faults}) for document in documents]
+
+
+def _coming_back(document: Document, chance: random.Random) -> Document:
+    """The ranges of the servers overlap around the places, which the drone leaves once and comes back to.
+
+    Their networks are joined at once, as by wire, and their services start slowly.
+    """
+    places = document["mission"]["waypoints_m"]
+    east_m, north_m = places[0]
+    reach_m = max(math.dist(places[0], place) for place in places) + 2 * _OVERLAP_M
+    servers = [
+        {
+            **server,
+            "east_m": round(east_m + chance.uniform(-_OVERLAP_M, _OVERLAP_M), 1),
+            "north_m": round(north_m + chance.uniform(-_OVERLAP_M, _OVERLAP_M), 1),
+            "range_m": round(reach_m + chance.uniform(0.0, _OVERLAP_M), 1),
+            "check_running_s": 0.1,
+            "check_s": between(chance, 3.0, 12.0),
+            "truth": {
+                **server["truth"],
+                "join_s": between(chance, 0.02, 0.1),
+                "start_s": 3.0,
+                "leave_s": 0.0,
+            },
+        }
+        for server in document["server"]
+    ]
+    away = [round(east_m + reach_m + 2 * _OVERLAP_M + _BEYOND_M, 1), north_m]
+    mission = {**document["mission"], "waypoints_m": [*places, away, *places]}
+    policy = {**document["policy"], "name": "look-ahead", "idle_s": 180.0}
+    return {**document, "mission": mission, "policy": policy, "server": servers}
+
+
+def _power_cuts(chance: random.Random, servers: Sequence[str], events: _Aims) -> list[dict[str, Any]]:
+    """All servers lose their power for a moment, most of them after the drone has left one."""
+    left = [event.t for event in events if event.what == "deselected"] or [chance.uniform(0.0, 100.0)]
+    from_s = round(chance.choice(left) + between(chance, 0.0, 5.0), 4)
+    to_s = round(from_s + chance.choice(_CUT_S), 4)
+    return [{"target": server, "kind": "power-cut", "from_s": from_s, "to_s": to_s} for server in servers]
 
 
 def _with_least_charge(document: Document) -> Document:
@@ -542,9 +597,6 @@ def _fault(chance: random.Random, servers: Sequence[str], moments: Sequence[Mome
 def _autopilot_fault(chance: random.Random, events: Sequence[Moment]) -> dict[str, Any]:
     from_s = (chance.choice(events).t if events else 0.0) + chance.uniform(-1.0, 1.0)
     return {"target": "autopilot", "kind": chance.choice(MOVING_KINDS), **spell(chance, from_s, _LASTS_S)}
-
-
-_Aims = Sequence[Moment]
 
 
 def _takeovers(chance: random.Random, _: Sequence[str], __: _Aims, events: _Aims) -> list[dict[str, Any]]:

@@ -19,6 +19,7 @@ from upwash.support.background import in_thread
 from upwash.support.text import printable, worded, words_of
 
 _TYPES = get_typestore(Stores.ROS2_HUMBLE)
+_FILES = (".mcap", ".db3")
 _IMAGES = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
 _READ_S = 20.0
 _LONGEST_REASON = 300  # characters
@@ -32,9 +33,9 @@ class BagCamera:
     """
 
     def __init__(self, bag: Path, topic: str | None, *, photo_s: float, lens: Lens | None) -> None:
-        self._bag, self._photo_s, self._lens = bag, photo_s, lens
+        self._bag, self._photo_s, self._lens = _bag_file(bag), photo_s, lens
         try:
-            with _reading(), Reader(bag) as reader:
+            with _reading(), Reader(self._bag) as reader:
                 topics = sorted({found.topic for found in reader.connections if found.msgtype in _IMAGES})
         except _Unreadable as error:
             raise UsageError(
@@ -86,6 +87,20 @@ class BagCamera:
 
 class _Unreadable(Exception):
     """Why a bag cannot be read."""
+
+
+def _bag_file(bag: Path) -> Path:
+    """The bag; of a folder without metadata.yaml, as of a recorder that was cut off, its one file."""
+    if not bag.is_dir() or (bag / "metadata.yaml").exists():
+        return bag
+    files = [file for file in sorted(bag.iterdir()) if file.suffix in _FILES]
+    if len(files) != 1:
+        names = ", ".join(file.name for file in files) or "none"
+        raise UsageError(
+            f"camera.bag: {bag} has no metadata.yaml, and not one {' or '.join(_FILES)} file ({names}): name one of "
+            "its files, or have `ros2 bag reindex` write metadata.yaml"
+        )
+    return files[0]
 
 
 @contextlib.contextmanager

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
+import math
 import os
 import re
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 from upwash.core.camera.frame_times import FrameTimes
@@ -25,19 +28,35 @@ _FIRST_FRAME_S = 10.0  # a USB camera takes a second or two, a stream may have t
 _FRAME_S = 5.0
 _REOPEN_S = 1.0
 _LAST_FRAME_S = 1.0
+_LEAST_BEHIND_S = 1.0
+_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
+# Of named pipes and .sdp files: FFmpeg opens what such a file names only if allowed, and studies a stream for 5 s.
+_FOR_PIPES = "rtsp_transport;tcp|protocol_whitelist;file,crypto,data,udp,rtp|analyzeduration;1000000"
+
+_log = logging.getLogger("upwash.camera")
 
 
 class VideoCamera:
     """A Camera that reads a video device (0, "/dev/video0"), a stream (a URL), GStreamer's pipeline, or a video file.
 
     A thread reads every frame, so that none waits in a buffer; a photo is the first frame captured after the request.
-    A frame counts as captured `latency_s` before it arrives, and earlier if a stalled stream kept it back. A source
-    that fails, or a file that has ended, is opened again, once a second.
+    A frame counts as captured `latency_s` before it arrives, and earlier if a stalled stream or a buffer kept it
+    back.
+    No photo is more than `oldest_s` older than that latency. Only a film is played at its own pace: a regular file
+    with a known number of frames. A source that fails, or a film that has ended, is opened again, once a second.
     """
 
-    def __init__(self, source: int | str, *, latency_s: float = 0.0, lens: Lens | None = None) -> None:
+    def __init__(
+        self,
+        source: int | str,
+        *,
+        latency_s: float = 0.0,
+        oldest_s: float = math.inf,
+        lens: Lens | None = None,
+    ) -> None:
         self._source = source
         self._latency_s = latency_s
+        self._oldest_s = oldest_s
         self._lens = lens
         self._name = shown_source(source)
         self._loop = asyncio.get_running_loop()
@@ -49,7 +68,12 @@ class VideoCamera:
 
     @classmethod
     async def open(
-        cls, source: int | str, *, latency_s: float = 0.0, lens: Lens | None = None
+        cls,
+        source: int | str,
+        *,
+        latency_s: float = 0.0,
+        oldest_s: float = math.inf,
+        lens: Lens | None = None,
     ) -> VideoCamera:
         """The camera, after its first frame; raises CameraError if none comes, UsageError without OpenCV."""
         with extra("detector"):
@@ -59,7 +83,7 @@ class VideoCamera:
                 "camera.device is a pipeline, and this OpenCV was built without GStreamer: use Debian's "
                 "python3-opencv (a virtual environment with --system-site-packages), or the URL of a stream"
             )
-        camera = cls(source, latency_s=latency_s, lens=lens)
+        camera = cls(source, latency_s=latency_s, oldest_s=oldest_s, lens=lens)
         camera._thread.start()
         try:
             await camera._frame(_FIRST_FRAME_S + latency_s)
@@ -107,12 +131,24 @@ class VideoCamera:
 
     def _read_frames(self, capture: _Capture) -> None:
         self._trouble = "it is open, but shows nothing"
-        times = FrameTimes()
-        while not self._closed.wait(capture.pause_s):
+        times, pace = FrameTimes(), FilmPace(capture.interval_s, self._loop.time())
+        while not self._closed.wait(pace.pause_s(self._loop.time())):
+            waits_s = self._loop.time()
             if not capture.next():
                 self._trouble = "its frames have come to an end"
                 return
-            captured_s = times.captured_s(self._loop.time()) - self._latency_s
+            arrived_s = self._loop.time()
+            captured_s = (
+                times.captured_s(arrived_s, waited_s=arrived_s - waits_s, stamp_s=capture.stamp_s)
+                if capture.interval_s is None
+                else arrived_s
+            ) - self._latency_s
+            if pace.falls_behind(arrived_s):
+                _log.warning(
+                    "camera %s: this computer plays the film slower than its %g frames a second",
+                    self._name,
+                    1 / pace.interval_s,
+                )
             jpeg = capture.jpeg() if self._requests else None
             self._trouble = capture.trouble or self._trouble
             if jpeg is not None:
@@ -123,13 +159,41 @@ class VideoCamera:
     # --- in the loop ---
 
     def _hand_out(self, photo: Photo) -> None:
+        age_s = self._loop.time() - photo.captured_s - self._latency_s
+        if age_s > self._oldest_s:
+            self._trouble = (
+                f"its frames are {age_s:.1f} s old, more than the {self._oldest_s:g} s of camera.photo_s"
+            )
+            return
         for asked_s, awaited in self._requests:
             if photo.captured_s >= asked_s and not awaited.done():
                 awaited.set_result(photo)
 
 
+class FilmPace:
+    """When the next frame of a film is due; a live source, without an interval, is never waited for."""
+
+    def __init__(self, interval_s: float | None, now_s: float) -> None:
+        self.interval_s = interval_s or 0.0
+        self._due_s = now_s
+        self._is_said = False
+
+    def pause_s(self, now_s: float) -> float:
+        """The wait until the next frame, which then counts as shown."""
+        self._due_s += self.interval_s
+        return max(0.0, self._due_s - now_s) if self.interval_s else 0.0
+
+    def falls_behind(self, now_s: float) -> bool:
+        """Whether the film is a second behind, for the first time; the second is not made up for."""
+        if not self.interval_s or now_s - self._due_s < _LEAST_BEHIND_S:
+            return False
+        self._due_s = now_s
+        is_news, self._is_said = not self._is_said, True
+        return is_news
+
+
 class _Capture:
-    """An opened source, frame by frame; `pause_s` is the time between two frames of a file."""
+    """An opened source, frame by frame; `interval_s` is the time between two frames of a film, None if it is live."""
 
     def __init__(self, source: int | str) -> None:
         import cv2
@@ -144,10 +208,18 @@ class _Capture:
         else:
             limit_ms = int(1000 * _FRAME_S)
             limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, limit_ms, cv2.CAP_PROP_READ_TIMEOUT_MSEC, limit_ms]
-            self._capture = cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)
+            with _options_for(source):
+                self._capture = cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)
         self.is_open = self._capture.isOpened()
-        is_file = isinstance(source, str) and Path(source).is_file()
-        self.pause_s = 1 / max(1.0, self._capture.get(cv2.CAP_PROP_FPS)) if is_file else 0.0
+        is_film = _is_file(source) and self._capture.get(cv2.CAP_PROP_FRAME_COUNT) > 0
+        self.interval_s = 1 / max(1.0, self._capture.get(cv2.CAP_PROP_FPS)) if is_film else None
+
+    @property
+    def stamp_s(self) -> float:
+        """The time of the frame in the stream; 0 if the source has none."""
+        import cv2
+
+        return float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000
 
     def next(self) -> bool:
         """Waits for the next frame; returns False if there is none."""
@@ -192,15 +264,40 @@ def read_frames(film: Path, most: int) -> dict[str, bytes]:
 
 def _remedy(source: int | str) -> str:
     """What to do about a source that shows nothing."""
+    connected = "see that it is connected, and that no other program uses it"
     if isinstance(source, int) or is_pipeline(source) or "://" in source or source.startswith("/dev/"):
-        return "see that it is connected, and that no other program uses it"
+        return connected
     try:
         is_there = Path(source).exists()
     except OSError:  # too long for a path
         is_there = False
-    if is_there:
-        return "it is no whole film that FFmpeg reads: copy it again, or name another"
-    return "there is no such file: check the path"
+    if not is_there:
+        return "there is no such file: check the path"
+    return (
+        "it is no whole film that FFmpeg reads: copy it again, or name another"
+        if _is_file(source)
+        else connected
+    )
+
+
+@contextlib.contextmanager
+def _options_for(source: str) -> Iterator[None]:
+    """FFmpeg's options while a named pipe or an .sdp file is opened: OpenCV takes them from the environment alone."""
+    needed = "://" not in source and not _is_file(source) and _OPTIONS not in os.environ
+    if needed:
+        os.environ[_OPTIONS] = _FOR_PIPES
+    try:
+        yield
+    finally:
+        if needed:
+            del os.environ[_OPTIONS]
+
+
+def _is_file(source: int | str) -> bool:
+    """Whether the source is a regular file, and no description of a stream (.sdp)."""
+    with contextlib.suppress(OSError):  # too long for a path
+        return isinstance(source, str) and Path(source).is_file() and not source.lower().endswith(".sdp")
+    return False
 
 
 def _has_gstreamer() -> bool:

@@ -1,16 +1,18 @@
-"""Files of secrets, which no other user may read, and files of certificates."""
+"""Files of secrets, which no other person may read, and files of certificates."""
 
 from __future__ import annotations
 
 import codecs
+import grp
 import os
+import pwd
+import shlex
 import ssl
 import stat
 from pathlib import Path
 
 from upwash.errors import CredentialsError
 from upwash.support.input_files import text_of
-from upwash.support.text import command
 
 _MOST_BYTES = 2**20
 _MARKS = (codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -21,10 +23,13 @@ _ROOT = 0
 def read_secret(file: Path) -> bytes:
     """The contents of a secret file; raises CredentialsError if other users can read or change it."""
     content, status = _read(file)
-    problem = exposure(stat.S_IMODE(status.st_mode), owner=status.st_uid)
+    problem = exposure(
+        stat.S_IMODE(status.st_mode),
+        owner=status.st_uid,
+        in_private_group=_is_private(status.st_gid, owner=status.st_uid),
+    )
     if problem:
-        mode = 600 if status.st_uid == os.geteuid() else 640  # this program can still read it then
-        raise CredentialsError(f"{file}: {problem}: {command('chmod', mode, file)}")
+        raise CredentialsError(f"{file}: {problem}: {_remedy(file, owner=status.st_uid)}")
     return content
 
 
@@ -33,16 +38,38 @@ def read_public(file: Path) -> bytes:
     return _read(file)[0]
 
 
-def exposure(mode: int, *, owner: int) -> str:
+def exposure(mode: int, *, owner: int, in_private_group: bool = False) -> str:
     """Which other users may read or change a file of that mode and owner, in words; "" if none may.
 
-    The group may read a file that root owns, so that a service with a user of its own can read it.
+    The group may read a file that root owns, so that a service with a user of its own can read it, and a file in a
+    group without other people.
     """
-    too_much = mode & 0o077 & ~(0o040 if owner == _ROOT else 0)
+    too_much = mode & 0o077 & ~(0o040 if owner == _ROOT or in_private_group else 0)
     if not too_much:
         return ""
     who = "others" if too_much & 0o007 else "its group"
     return f"{who} can {'read' if too_much & 0o044 else 'change'} it (mode {mode:04o})"
+
+
+def _is_private(group: int, *, owner: int) -> bool:
+    """Whether the group is one of this program's, and has no other people than its user, the owner and root."""
+    if group not in {os.getegid(), *os.getgroups()}:
+        return False
+    try:
+        members = set(grp.getgrgid(group).gr_mem)
+    except KeyError:  # as in a container, whose files of users are those of the image
+        members = set()
+    users = pwd.getpwall()
+    members |= {user.pw_name for user in users if user.pw_gid == group}
+    return members <= {user.pw_name for user in users if user.pw_uid in (_ROOT, owner, os.geteuid())}
+
+
+def _remedy(file: Path, *, owner: int) -> str:
+    """The command after which this program reads the file, and no other user does."""
+    user, words = os.geteuid(), [["chmod", "600", str(file)]]
+    if user not in (_ROOT, owner):
+        words.insert(0, ["chown", str(user), str(file)])
+    return f"`{' && '.join(map(shlex.join, words))}`" + (", as root" if len(words) > 1 else "")
 
 
 def load_secret(context: ssl.SSLContext, pem: bytes) -> None:
