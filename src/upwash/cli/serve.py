@@ -11,6 +11,7 @@ import resource
 from upwash.cli.arguments import announce, config_of, option, require_linux
 from upwash.config import DaemonConfig, read_daemon_config
 from upwash.launch.daemon import keep_heaps_few, serve
+from upwash.real.host.first_process import leave_first_process
 from upwash.real.host.log import log_json, log_text
 from upwash.real.host.service_manager import ServiceManager
 from upwash.real.link.hand_over import handed_over
@@ -27,6 +28,7 @@ ARGUMENTS = {
 def run(options: argparse.Namespace) -> None:
     """Serve until a signal ends it."""
     require_linux("serve")
+    leave_first_process()
     before = handed_over(os.environ)
     service_manager = os.environ.pop("NOTIFY_SOCKET", "")  # instances do not report to the service manager
     keep_heaps_few()

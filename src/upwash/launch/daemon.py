@@ -282,7 +282,9 @@ async def _exposed(metrics: DaemonMetrics, config: DaemonConfig, *, patient: boo
     from upwash.metrics.exposition import exposed
 
     def offered() -> contextlib.AbstractAsyncContextManager[str]:
-        return exposed(metrics.registry, config.metrics or "", config.metrics_hosts)
+        return exposed(
+            metrics.registry, config.metrics or "", config.metrics_hosts, questions=metrics.questions
+        )
 
     async def offer() -> None:
         while True:
