@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from upwash.support.addresses import listening_at, names_this_machine
+from upwash.support.addresses import lacks_zone, listening_at, names_this_machine
 
 
 @pytest.mark.parametrize(
@@ -52,3 +52,17 @@ def test_no_host_or_a_star_is_every_address_of_this_computer(everywhere: str, ho
 def test_one_address_is_no_other(one: str, other: str) -> None:
     with listening_at(f"{one}:0") as listening, pytest.raises(ConnectionRefusedError):
         socket.create_connection((other, listening.getsockname()[1]), timeout=5.0)
+
+
+@pytest.mark.parametrize(
+    ("address", "lacks"),
+    [
+        ("[fe80::1]:7070", True),
+        ("[fe80::1%eth0]:7070", False),
+        ("[fd00::1]:7070", False),
+        ("10.10.1.1:7070", False),
+        ("heron.local:7070", False),
+    ],
+)
+def test_only_a_link_local_address_needs_its_interface(address: str, lacks: bool) -> None:
+    assert lacks_zone(address) is lacks

@@ -115,7 +115,10 @@ class Door:
 
     async def lead(self, listening: socket.socket, inside: Connect, *, server: str = "") -> Entrance:
         """Leads callers of the listening socket, now the door's, to `inside`, an instance of the server."""
-        host, port = listening.getsockname()[:2]
+        numeric = socket.NI_NUMERICHOST | socket.NI_NUMERICSERV
+        host, port = socket.getnameinfo(
+            listening.getsockname(), numeric
+        )  # with the zone of a link-local address
         address = f"[{host}]:{port}" if listening.family == socket.AF_INET6 else f"{host}:{port}"
         listening.setblocking(False)
 
