@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> None:
     require_linux("serve")
     leave_first_process()
     before = handed_over(os.environ)
-    service_manager = os.environ.pop("NOTIFY_SOCKET", "")  # instances do not report to the service manager
+    manager = ServiceManager.taken_from(os.environ)
     keep_heaps_few()
     config = read_daemon_config(options.config)
     (log_json if options.log_format == "json" else log_text)()
@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> None:
             config,
             read_again=lambda: _warn_without_revocations(read_daemon_config(options.config)),
             ready=lambda address: announce(f"{names} ready at {address}"),
-            manager=ServiceManager(service_manager),
+            manager=manager,
             before=before,
         )
     )

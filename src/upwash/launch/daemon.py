@@ -138,6 +138,7 @@ async def serve(
             ("the edge server", edge.run()),
             ("the watch for another configuration", daemon.reload_at(hung_up, read_again)),
             ("the watch of certificates", watch_expiry(keys)),
+            ("the service manager's watchdog", manager.heartbeat()),
         ):
             await stack.enter_async_context(beside(work, name=name))
         await first(stopped.wait(), daemon.hand_over_at(asked_to_go))
