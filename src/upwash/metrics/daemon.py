@@ -1,6 +1,6 @@
 """The metrics of an edge daemon: its requests and instances, counted; its servers' state, read at each scrape.
 
-Also whether the daemon is alive and ready, for who restarts it and who sends it drones.
+Also whether the daemon is alive and ready, for probes.
 """
 
 from __future__ import annotations

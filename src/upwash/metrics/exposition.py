@@ -1,4 +1,4 @@
-"""Offers metrics to Prometheus over HTTP, and yes or no to who looks after the program.
+"""Offers metrics to Prometheus over HTTP, and answers probes.
 
 One thread answers on an event loop of its own, so that slow clients delay neither the program nor Prometheus. Beyond
 64 connections the oldest is closed.

@@ -1,7 +1,7 @@
 """Reports a program's state to systemd, or another service manager that started it with NOTIFY_SOCKET set.
 
-The protocol is a datagram of text: sd_notify(3). With WATCHDOG_USEC the manager ends a program that is silent for so
-long: sd_watchdog_enabled(3).
+The protocol is a datagram of text: sd_notify(3). With WATCHDOG_USEC the manager ends a silent program:
+sd_watchdog_enabled(3).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _log = logging.getLogger("upwash.service_manager")
 class ServiceManager:
     """The service manager at the address; without an address, methods send nothing.
 
-    It is to hear from the program every `watchdog_us` microseconds at least, if that is not 0.
+    The manager ends a program that is silent for `watchdog_us` microseconds; 0 is no watchdog.
     """
 
     def __init__(self, address: str, watchdog_us: int = 0) -> None:
@@ -31,7 +31,7 @@ class ServiceManager:
 
     @classmethod
     def taken_from(cls, environment: MutableMapping[str, str]) -> ServiceManager:
-        """The one that the environment names, which is removed there: child processes do not report to it."""
+        """The manager that the environment names. Its variables are removed: child processes do not report to it."""
         watchdog = environment.pop(_WATCHDOG, "")
         return cls(environment.pop(_ADDRESS, ""), int(watchdog) if watchdog.isdecimal() else 0)
 
