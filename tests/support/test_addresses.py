@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import socket
+import subprocess
+import sys
 
 import pytest
 
@@ -52,6 +54,26 @@ def test_no_host_or_a_star_is_every_address_of_this_computer(everywhere: str, ho
 def test_one_address_is_no_other(one: str, other: str) -> None:
     with listening_at(f"{one}:0") as listening, pytest.raises(ConnectionRefusedError):
         socket.create_connection((other, listening.getsockname()[1]), timeout=5.0)
+
+
+ZONE = """
+ip link add v0 type veth peer name v1
+ip address add fe80::77/64 dev v0 nodad
+ip link set v0 up
+exec "$1" -c '
+from upwash.support.addresses import address_of, listening_at
+with listening_at("[fe80::77%v0]:7070") as listening:
+    print(address_of(listening))
+'
+"""
+
+
+def test_a_socket_of_a_link_local_address_keeps_its_zone() -> None:
+    command = ["unshare", "--user", "--map-root-user", "--net", "sh", "-ec", ZONE, "sh", sys.executable]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.stderr.startswith(("unshare: ", "sh: ", "RTNETLINK ")):
+        pytest.skip(f"no interface can be made here: {done.stderr}")
+    assert done.stdout == "[fe80::77%v0]:7070\n", done.stderr
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """Offers metrics to Prometheus over HTTP, and answers probes.
 
-One thread answers on an event loop of its own, so that slow clients delay neither the program nor Prometheus. Beyond
+One thread answers on an event loop of its own: slow clients delay no other. Beyond
 64 connections the oldest is closed.
 """
 

@@ -24,6 +24,13 @@ def listening_at(listen: str) -> socket.socket:
     return socket.create_server(place, family=family, backlog=_BACKLOG, dualstack_ipv6=is_any)
 
 
+def address_of(listening: socket.socket) -> str:
+    """The `HOST:PORT` of a socket; a link-local IPv6 address has its zone."""
+    numeric = socket.NI_NUMERICHOST | socket.NI_NUMERICSERV
+    host, port = socket.getnameinfo(listening.getsockname(), numeric)
+    return f"[{host}]:{port}" if listening.family == socket.AF_INET6 else f"{host}:{port}"
+
+
 def lacks_zone(address: str) -> bool:
     """Whether `HOST:PORT` is a link-local IPv6 address that names no interface, so that no socket can use it."""
     try:
