@@ -82,6 +82,20 @@ def test_manifests_and_the_configuration_agree(pod: Pod) -> None:
     assert mounted == {volume["name"] for volume in POD["volumes"]}
 
 
+@pytest.mark.parametrize("variant", ["server", "gpu"])
+def test_kustomizations_name_what_is_there(variant: str) -> None:
+    folder = DEPLOY / "kubernetes" / variant
+    kustomization = yaml.safe_load((folder / "kustomization.yaml").read_text())
+    generated = kustomization.get("configMapGenerator", [])
+    files = [file for each in generated for file in each["files"]]
+    assert all((folder / file).exists() for file in (*kustomization["resources"], *files))
+    (volume,) = (volume["configMap"]["name"] for volume in POD["volumes"] if "configMap" in volume)
+    assert {each["name"] for each in generated} <= {volume}
+    for patch in kustomization.get("patches", []):
+        spec = yaml.safe_load(patch["patch"])["spec"]["template"]["spec"]
+        assert [container["name"] for container in spec["containers"]] == [CONTAINER["name"]]
+
+
 @contextmanager
 def started(pod: Pod) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """The daemon's container without its image, and the address of its probes."""
