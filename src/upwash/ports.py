@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from typing import Literal, Protocol, TypeAlias
 
 from upwash.core.admission.limits import NO_LIMITS, Limits
@@ -258,11 +259,20 @@ class Dialer(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class OtherClock:
+    """The time of a photo by its camera's clock, and of its arrival by this computer's own, in UTC."""
+
+    camera: datetime
+    own: datetime
+
+
+@dataclass(frozen=True, slots=True)
 class Photo:
     """One photo as a JPEG.
 
     `captured_s` is its time by the event loop's clock, `source` names its origin. For a rendered photo `truth` lists
-    what it shows, for a log; `lens` is None if it is unknown.
+    what it shows, for a log; `lens` is None if it is unknown. With an `other_clock` the photo counts as taken when it
+    came.
     """
 
     jpeg: bytes
@@ -270,6 +280,7 @@ class Photo:
     source: str
     truth: Sequence[object] | None = None
     lens: Lens | None = None
+    other_clock: OtherClock | None = None
 
 
 @dataclass(frozen=True, slots=True)

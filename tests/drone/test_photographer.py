@@ -6,6 +6,7 @@ import asyncio
 import io
 import math
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -23,8 +24,9 @@ from upwash.drone.mission import MissionThread
 from upwash.drone.photographer import Photographer, PhotoPose
 from upwash.errors import CameraError, UpwashError
 from upwash.eventlog import schema
+from upwash.eventlog.narration import Narrator
 from upwash.lab.run import Run, simulate
-from upwash.ports import Camera, Photo
+from upwash.ports import Camera, OtherClock, Photo
 from upwash.services import Detection
 from upwash.sim.camera import ModelCamera
 from upwash.sim.loop import run_virtually
@@ -296,12 +298,13 @@ def test_the_altitude_above_the_sea_is_logged_to_the_centimetre() -> None:
 class Album:
     """A camera whose photos are these, one after the other."""
 
-    def __init__(self, *photos: bytes) -> None:
+    def __init__(self, *photos: bytes, other_clock: OtherClock | None = None) -> None:
         self._photos = iter(photos)
+        self._other_clock = other_clock
 
     async def take_photo(self, at: Position) -> Photo:
         now_s = asyncio.get_running_loop().time()
-        return Photo(next(self._photos), now_s, "DJI_7.JPG", lens=DOWN)
+        return Photo(next(self._photos), now_s, "DJI_7.JPG", lens=DOWN, other_clock=self._other_clock)
 
 
 def taken(vehicle: Reported, *photos: bytes) -> tuple[list[bytes], list[str]]:
@@ -316,6 +319,28 @@ def taken(vehicle: Reported, *photos: bytes) -> tuple[list[bytes], list[str]]:
     )
     got = [photographer.take_photo() for _ in photos]
     return got, [event.why for event in log if isinstance(event, schema.PhotoPlaceDoubted)]
+
+
+def test_a_camera_whose_clock_lags_is_named_once_with_both_times_and_the_difference() -> None:
+    own = datetime(2026, 7, 1, 12, 0, 30, tzinfo=UTC)
+    other = OtherClock(own - timedelta(hours=2, seconds=1.5), own)
+    log: list[Any] = []
+    photographer = Photographer(
+        Album(jpeg(64, 48), jpeg(64, 48), other_clock=other),
+        cast(Any, SimpleNamespace(call=run_virtually)),
+        cast(Any, SimpleNamespace(record=log.append)),
+        autopilot=cast(Any, Reported()),
+        payload=cast(Any, SimpleNamespace(pointed_deg=None)),
+    )
+    photographer.take_photo()
+    photographer.take_photo()
+    (told,) = (event for event in log if isinstance(event, schema.CameraClockDiffers))
+    assert told.behind_s == 7201.5
+    sentence = Narrator().tell(told)
+    assert sentence is not None and sentence.text.startswith(
+        "the camera's clock says 2026-07-01 10:00:28 UTC where this computer's says 2026-07-01 12:00:30 UTC: "
+        "7201.5 s behind; "
+    )
 
 
 EARTH = EarthPosition(47.1, 8.5, 432.0)

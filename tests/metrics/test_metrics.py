@@ -9,6 +9,7 @@ import json
 import re
 import socket
 from collections.abc import Callable, Collection, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -143,7 +144,7 @@ def test_a_waypoint_that_the_drone_turns_back_to_is_reached_once() -> None:
 class Edge:
     """A daemon with its metrics."""
 
-    def __init__(self, runtime: Any) -> None:
+    def __init__(self, runtime: Any, expires: datetime = EXPIRES) -> None:
         self.metrics = DaemonMetrics()
         self.status = DaemonStatus(
             version="1.0",
@@ -167,7 +168,7 @@ class Edge:
             dialer=ModelDialer("s1", Switchboard({})),
             start_timeout_s=60.0,
             drain_s=10.0,
-            certificates=lambda: [CertificateStatus("s1", EXPIRES)],
+            certificates=lambda: [CertificateStatus("s1", expires)],
             status=lambda: self.status,
         )
         self.handle = self.metrics.daemon(self.edge.handle)
@@ -411,6 +412,53 @@ def test_a_prometheus_by_another_name_learns_how_the_name_is_added(caplog: pytes
 def test_a_prometheus_by_a_name_that_was_added_is_answered() -> None:
     request = b"GET /metrics HTTP/1.1\r\nHost: host.docker.internal:9100\r\n\r\n"
     assert asked(request, hosts=["host.docker.internal"]).startswith(b"HTTP/1.1 200 ")
+
+
+def status(address: str, path: str) -> int:
+    connection = http.client.HTTPConnection(address, timeout=10.0)
+    connection.request("GET", path)
+    return connection.getresponse().status
+
+
+class Broken:
+    """A runtime in which nothing starts."""
+
+    async def start(self, spec: InstanceSpec, **_: Any) -> Instance:
+        raise InstanceError("no memory")
+
+
+async def test_a_daemon_is_ready_while_it_takes_calls_and_live_while_its_loop_works(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    at = Edge(Broken())
+    at.metrics.look_at(at.edge)
+    async with exposed(at.metrics.registry, "127.0.0.1:0", questions=at.metrics.questions) as address:
+
+        async def ask(path: str) -> int:
+            return await asyncio.to_thread(status, address, path)
+
+        assert (await ask("/live"), await ask("/ready?verbose")) == (200, 200)
+        await at.start("heron")
+        assert (await ask("/live"), await ask("/ready")) == (200, 503), "the service is paused, as it fails"
+        monkeypatch.setattr("upwash.metrics.daemon._PROBE_S", 0.05)
+        with ThreadPoolExecutor(1) as elsewhere:
+            assert elsewhere.submit(status, address, "/live").result() == 503, (
+                "the loop waits for this very answer"
+            )
+
+
+@pytest.mark.parametrize(
+    ("expires", "is_closing"), [(EXPIRES, True), (datetime(2020, 1, 1, tzinfo=UTC), False)]
+)
+async def test_a_daemon_that_ends_or_whose_certificate_has_ended_is_not_ready(
+    expires: datetime, is_closing: bool
+) -> None:
+    at = Edge(Ready(), expires)
+    at.metrics.look_at(at.edge)
+    if is_closing:
+        await at.edge.drain("it ends")
+    assert not await asyncio.to_thread(at.metrics.questions["/ready"])
+    assert await asyncio.to_thread(at.metrics.questions["/live"])
 
 
 async def test_an_address_in_use_is_named() -> None:

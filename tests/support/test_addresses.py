@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import socket
+import subprocess
+import sys
 
 import pytest
 
-from upwash.support.addresses import listening_at, names_this_machine
+from upwash.support.addresses import lacks_zone, listening_at, names_this_machine
 
 
 @pytest.mark.parametrize(
@@ -52,3 +54,37 @@ def test_no_host_or_a_star_is_every_address_of_this_computer(everywhere: str, ho
 def test_one_address_is_no_other(one: str, other: str) -> None:
     with listening_at(f"{one}:0") as listening, pytest.raises(ConnectionRefusedError):
         socket.create_connection((other, listening.getsockname()[1]), timeout=5.0)
+
+
+ZONE = """
+ip link add v0 type veth peer name v1
+ip address add fe80::77/64 dev v0 nodad
+ip link set v0 up
+exec "$1" -c '
+from upwash.support.addresses import address_of, listening_at
+with listening_at("[fe80::77%v0]:7070") as listening:
+    print(address_of(listening))
+'
+"""
+
+
+def test_a_socket_of_a_link_local_address_keeps_its_zone() -> None:
+    command = ["unshare", "--user", "--map-root-user", "--net", "sh", "-ec", ZONE, "sh", sys.executable]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.stderr.startswith(("unshare: ", "sh: ", "RTNETLINK ")):
+        pytest.skip(f"no interface can be made here: {done.stderr}")
+    assert done.stdout == "[fe80::77%v0]:7070\n", done.stderr
+
+
+@pytest.mark.parametrize(
+    ("address", "lacks"),
+    [
+        ("[fe80::1]:7070", True),
+        ("[fe80::1%eth0]:7070", False),
+        ("[fd00::1]:7070", False),
+        ("10.10.1.1:7070", False),
+        ("heron.local:7070", False),
+    ],
+)
+def test_only_a_link_local_address_needs_its_interface(address: str, lacks: bool) -> None:
+    assert lacks_zone(address) is lacks

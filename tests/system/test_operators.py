@@ -36,7 +36,7 @@ PAGE = (ROOT / "docs" / "operators.md").read_text()
 UNIT = ROOT / "deploy" / "upwash.service"
 NOT_HERE = (
     *("apt-get", "python3 -m venv", "/opt/upwash/bin/pip", "useradd", "systemctl daemon-reload"),
-    *("journalctl", "podman"),
+    *("journalctl", "podman", "docker"),
 )
 
 

@@ -388,8 +388,10 @@ def test_a_service_manager_is_told_when_it_is_ready_reloads_and_stops(
         manager.bind(f"{tmp_path}/notify")
         manager.settimeout(10.0)
         monkeypatch.setenv("NOTIFY_SOCKET", f"{tmp_path}/notify")
+        monkeypatch.setenv("WATCHDOG_USEC", "600000000")  # one sign of life in this test
         with daemon(tmp_path, config(keys)) as at:
             assert manager.recv(1000) == b"READY=1"
+            assert manager.recv(1000) == b"WATCHDOG=1"
             at.process.send_signal(signal.SIGHUP)
             assert re.fullmatch(rb"RELOADING=1\nMONOTONIC_USEC=\d+", manager.recv(1000))
             assert manager.recv(1000) == b"READY=1"

@@ -13,6 +13,7 @@ from upwash.cli.arguments import OneOf, announce, config_of, option, require_lin
 from upwash.errors import UsageError
 from upwash.launch.daemon import keep_heaps_few, serve
 from upwash.launch.daemon_check import check
+from upwash.real.host.first_process import leave_first_process
 from upwash.real.host.log import log_json, log_text
 from upwash.real.host.orders import give_order
 from upwash.real.host.service_manager import ServiceManager
@@ -50,8 +51,9 @@ def run(options: argparse.Namespace) -> bool:
         if running.isdecimal():
             return _ordered(int(running), "check", options.config)
         return _tell(asyncio.run(check(options.config, Path(running) if running else None)))
+    leave_first_process()
     before = handed_over(os.environ)
-    service_manager = os.environ.pop("NOTIFY_SOCKET", "")  # instances do not report to the service manager
+    manager = ServiceManager.taken_from(os.environ)
     keep_heaps_few()
     (log_json if options.log_format == "json" else log_text)()
     # Each connection is an open file: as many as the system allows, or a thousand strangers would keep drones out.
@@ -61,7 +63,7 @@ def run(options: argparse.Namespace) -> bool:
         serve(
             options.config,
             ready=lambda names, address: announce(f"{names} ready at {address}"),
-            manager=ServiceManager(service_manager),
+            manager=manager,
             before=before,
         )
     )

@@ -166,6 +166,7 @@ class Photographer:
         geometry, earth = self._geometry(photo, shot), shot.earth
         told = shot.told
         self.pose = PhotoPose(shot.position, earth, told.attitude, told.heading_deg, geometry, self._photos)
+        self._doubt_clock(photo)
         jpeg = self._placed(photo, shot, geometry, distance_m(before.position, after.position))
         self._photos.take(jpeg, geometry)
         self._journal.record(
@@ -215,6 +216,19 @@ class Photographer:
         if kind not in self._doubts:
             self._doubts.add(kind)
             self._journal.record(schema.PhotoPlaceDoubted(source=photo.source, why=why))
+
+    def _doubt_clock(self, photo: Photo) -> None:
+        """Records once that the camera's clock is wrong, or this computer's."""
+        if (other := photo.other_clock) is not None and "clock" not in self._doubts:
+            self._doubts.add("clock")
+            self._journal.record(
+                schema.CameraClockDiffers(
+                    source=photo.source,
+                    camera=other.camera,
+                    clock=other.own,
+                    behind_s=round((other.own - other.camera).total_seconds(), 1),
+                )
+            )
 
     async def _kept(
         self, jpeg: bytes, source: str, earth: EarthPosition | None, geometry: PhotoGeometry | None

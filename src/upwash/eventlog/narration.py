@@ -17,7 +17,7 @@ from upwash.eventlog.objects import found_objects
 from upwash.eventlog.progress import CallPlaces, MissionTime
 from upwash.eventlog.results import RunResult
 from upwash.eventlog.schema import SEVERITIES, Event
-from upwash.support.text import counted, printable
+from upwash.support.text import clocks_apart, counted, printable
 
 SAFE_ENDS = {
     "return": "returning to land",
@@ -322,10 +322,19 @@ def _sentence(event: Event) -> Sentence | None:
         case schema.Shortened(of=of, why=why):
             said = f"the log has no more than a part of what it was told ({of.replace('_', ' ')}): {why}"
             return Sentence(said, Tone.TROUBLE)
+        case schema.CameraClockDiffers() | schema.ClockSet():
+            return _clock_sentence(event)
+    return _waiting_sentence(event) or _computer_sentence(event) or _vehicle_sentence(event)
+
+
+def _clock_sentence(event: schema.CameraClockDiffers | schema.ClockSet) -> Sentence:
+    match event:
+        case schema.CameraClockDiffers(camera=camera, clock=own):
+            said = clocks_apart("the camera's clock", camera, own)
+            return Sentence(f"{said}; its photos count as taken when they come: set its clock", Tone.TROUBLE)
         case schema.ClockSet(before=before, after=after):
             said = f"this computer's clock said {before.isoformat()}: set to {after.isoformat()}"
             return Sentence(f"{said}, as the vehicle's GPS has it")
-    return _waiting_sentence(event) or _computer_sentence(event) or _vehicle_sentence(event)
 
 
 def left_of(supply: Supply, left: float) -> str:

@@ -366,6 +366,18 @@ class PhotoPlaceDoubted(Event, frozen=True, kw_only=True):
     why: Text
 
 
+class CameraClockDiffers(Event, frozen=True, kw_only=True):
+    """A photo's time by its camera's clock, `behind_s` behind this computer's, or ahead of it if negative.
+
+    Photos of that camera count as taken when they come. Further ones are not logged.
+    """
+
+    source: Text
+    camera: _Time
+    clock: _Time
+    behind_s: Number
+
+
 class PhotosNotKept(Event, frozen=True, kw_only=True):
     """A photo could not be kept in `camera.keep`; the flight goes on, and further failures are not logged."""
 

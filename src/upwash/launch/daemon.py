@@ -150,6 +150,7 @@ async def serve(
             ("the edge server", edge.run()),
             ("the operator's orders", reloads.run()),
             ("the watch of certificates", watch_expiry(keys)),
+            ("the service manager's watchdog", manager.heartbeat()),
         ):
             await stack.enter_async_context(beside(work, name=name))
         await stack.enter_async_context(taking_orders(partial(_obey, reloads, config_file)))
@@ -334,7 +335,9 @@ async def _exposed(metrics: DaemonMetrics, config: DaemonConfig, *, patient: boo
     from upwash.metrics.exposition import exposed
 
     def offered() -> contextlib.AbstractAsyncContextManager[str]:
-        return exposed(metrics.registry, config.metrics or "", config.metrics_hosts)
+        return exposed(
+            metrics.registry, config.metrics or "", config.metrics_hosts, questions=metrics.questions
+        )
 
     async def offer() -> None:
         while True:

@@ -1,9 +1,14 @@
-"""The metrics of an edge daemon: its requests and instances, counted; its servers' state, read at each scrape."""
+"""The metrics of an edge daemon: its requests and instances, counted; its servers' state, read at each scrape.
+
+Also whether the daemon is alive and ready, for probes.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Callable, Coroutine, Iterator
+from datetime import UTC, datetime
 from functools import partial
 from typing import Any, get_args
 
@@ -15,6 +20,7 @@ from upwash.core.admission.clients import Client, DoorReason, DroneUsage, TeamUs
 from upwash.core.admission.instances import InstanceState
 from upwash.errors import Refused
 from upwash.metrics import CALL_S
+from upwash.metrics.exposition import NO_QUESTIONS, Questions
 from upwash.ports import AnsweredCall, InstanceSpec
 from upwash.rpc.protocol import (
     AVAILABILITY,
@@ -30,6 +36,7 @@ from upwash.server.daemon import EdgeServer, Snapshot
 from upwash.server.instances import Observer
 
 _LOOK_S = 5.0  # longer than a daemon is ever busy at a stretch
+_PROBE_S = 2.0  # a Kubernetes probe waits for 3 s in our manifests
 _START_S = (0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 60.0)
 _REQUESTS = {
     AVAILABILITY: "availability",
@@ -59,6 +66,7 @@ class DaemonMetrics:
         self.calls = seconds("upwash_service_seconds", calls, [*instance, "method"], buckets=CALL_S)
         failures = "Instances that did not start, or ended by themselves"
         self.failures = counter("upwash_instance_failures", failures, instance)
+        self.questions: Questions = NO_QUESTIONS  # `look_at` adds them
 
     def daemon(self, handle: Handle) -> Handle:
         """The daemon's handler, with each request counted."""
@@ -91,8 +99,16 @@ class DaemonMetrics:
         )
 
     def look_at(self, edge: EdgeServer) -> None:
-        """Read the daemon's state at each scrape from now on; must be called on its event loop."""
-        self.registry.register(_DaemonState(edge, asyncio.get_running_loop()))
+        """Read the daemon's state at each scrape from now on; must be called on its event loop.
+
+        `/live` is True while that loop does its work, and `/ready` while the daemon takes calls of drones.
+        """
+        loop = asyncio.get_running_loop()
+        self.registry.register(_DaemonState(edge, loop))
+        self.questions = {
+            "/live": lambda: _asked(_is_live(), loop),
+            "/ready": lambda: _asked(_is_ready(edge), loop),
+        }
 
 
 _Family = GaugeMetricFamily | CounterMetricFamily
@@ -148,6 +164,29 @@ class _DaemonState(Collector):
 
 async def _read(edge: EdgeServer) -> Snapshot:
     return edge.standing()
+
+
+def _asked(question: Coroutine[Any, Any, bool], loop: asyncio.AbstractEventLoop) -> bool:
+    """The answer of the daemon's event loop; False if the loop is busy for too long."""
+    with contextlib.suppress(TimeoutError):
+        return asyncio.run_coroutine_threadsafe(question, loop).result(_PROBE_S)
+    return False
+
+
+async def _is_live() -> bool:
+    return True
+
+
+async def _is_ready(edge: EdgeServer) -> bool:
+    """Whether drones are admitted, every service runs or can be started, and the certificates are valid."""
+    standing, now = edge.standing(), datetime.now(UTC)
+    failing = (
+        instance.paused_s > 0 and instance.state != InstanceState.RUNNING
+        for server in standing.servers
+        for instance in server.instances
+    )
+    ended = (certificate.expires <= now for certificate in standing.certificates)
+    return not (edge.is_closing or any(failing) or any(ended))
 
 
 def _samples(standing: Snapshot) -> Iterator[StateSample]:

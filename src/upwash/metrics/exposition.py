@@ -1,6 +1,6 @@
-"""Offers metrics to Prometheus over HTTP.
+"""Offers metrics to Prometheus over HTTP, and answers probes.
 
-One thread answers on an event loop of its own, so that slow clients delay neither the program nor Prometheus. Beyond
+One thread answers on an event loop of its own: slow clients delay no other. Beyond
 64 connections the oldest is closed.
 """
 
@@ -10,9 +10,10 @@ import asyncio
 import contextlib
 import logging
 import socket
-from collections.abc import AsyncIterator, Collection
+from collections.abc import AsyncIterator, Callable, Collection, Mapping
 from email.parser import BytesParser
 from http import HTTPStatus
+from types import MappingProxyType
 
 from prometheus_client import CollectorRegistry
 from prometheus_client.exposition import choose_encoder
@@ -39,14 +40,22 @@ _OTHER_HOST = (
 
 _log = logging.getLogger("upwash.metrics")
 
+Questions = Mapping[str, Callable[[], bool]]  # by path, each answered from another thread than the program's
+NO_QUESTIONS: Questions = MappingProxyType({})
+
 
 @contextlib.asynccontextmanager
 async def exposed(
-    registry: CollectorRegistry, listen: str, hosts: Collection[str] = ()
+    registry: CollectorRegistry,
+    listen: str,
+    hosts: Collection[str] = (),
+    *,
+    questions: Questions = NO_QUESTIONS,
 ) -> AsyncIterator[str]:
     """Offers the registry's metrics at `host:port`, from a thread of its own; yields the address in use.
 
-    A request may name this machine by any of these further `hosts`. Raises UsageError if it cannot listen there.
+    A question is answered by status 200 for True, else 503. A request may name this machine by any of these further
+    `hosts`. Raises UsageError if it cannot listen there.
     """
     if not is_on_this_machine(listen):
         _log.warning(
@@ -60,7 +69,7 @@ async def exposed(
         ) from error
     host = listen.rpartition(":")[0]
     address = f"{host}:{listener.getsockname()[1]}"
-    server = _Server(registry, listener, (host, *hosts))
+    server = _Server(registry, questions, listener, (host, *hosts))
     serving = thread(server.run, name="metrics", failed=only_logged)
     serving.start()
     _log.info("metrics at http://%s/metrics", address)
@@ -72,8 +81,15 @@ async def exposed(
 
 
 class _Server:
-    def __init__(self, registry: CollectorRegistry, listener: socket.socket, hosts: Collection[str]) -> None:
+    def __init__(
+        self,
+        registry: CollectorRegistry,
+        questions: Questions,
+        listener: socket.socket,
+        hosts: Collection[str],
+    ) -> None:
         self._registry = registry
+        self._questions = questions
         self._listener = listener
         self._hosts = hosts
         self._warnings = Allowance(_WARNINGS_PER_S, at_once=1)
@@ -145,7 +161,11 @@ class _Server:
             return _response(HTTPStatus.MISDIRECTED_REQUEST, f"{why}\n".encode())
         if method not in ("GET", "HEAD"):
             return _response(HTTPStatus.METHOD_NOT_ALLOWED)
-        if target.partition("?")[0] not in _PATHS:
+        path, with_body = target.partition("?")[0], method == "GET"
+        if path in self._questions:
+            is_so = self._questions[path]()
+            return _response(HTTPStatus.OK if is_so else HTTPStatus.SERVICE_UNAVAILABLE, with_body=with_body)
+        if path not in _PATHS:
             return _response(HTTPStatus.NOT_FOUND)
         encode, content_type = choose_encoder(str(headers.get("Accept", "")))
         try:
@@ -153,7 +173,7 @@ class _Server:
         except Exception:  # noqa: BLE001 - whatever a collector raises is not the end of this
             _log.exception("the metrics cannot be told")
             return _response(HTTPStatus.INTERNAL_SERVER_ERROR)
-        return _response(HTTPStatus.OK, body, content_type=content_type, with_body=method == "GET")
+        return _response(HTTPStatus.OK, body, content_type=content_type, with_body=with_body)
 
 
 def _response(

@@ -5,20 +5,22 @@ from __future__ import annotations
 import contextlib
 import functools
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
 from typing import Any
 
 import msgspec
 
 from upwash.eventlog.schema import Event
+from upwash.ports import OtherClock
 from upwash.ros.session import guarded, ros_imports
 from upwash.services.ros_image import jpeg_of_message
 from upwash.support.background import in_thread
-from upwash.support.text import counted
+from upwash.support.text import clocks_apart, counted
 
 _KEPT_EVENTS = 100  # for a subscriber that is slower
 _SILENT_S = 5.0
 _JUMP_S = 1.0  # of stamps, backwards: more than cameras and their drivers mix up
-FRESH_S = 5.0  # an image whose stamp is older has the stamp of another clock
+_APART_S = 5.0  # a stamp that differs by more from this computer's clock is of another clock
 
 
 class ImageTopic:
@@ -45,6 +47,7 @@ class ImageTopic:
         self._jumped = ""
         self._failed = ""
         self._refused = 0
+        self.other_clock: OtherClock | None = None  # of the last image
         events = SubscriptionEventCallbacks(
             incompatible_qos=self._hear_qos, incompatible_type=lambda _: None, use_default_callbacks=False
         )
@@ -74,23 +77,26 @@ class ImageTopic:
         if (silent_s := self._now_s() - self._last_s) > _SILENT_S and not others:
             there = counted(len(publishers), "publisher") if publishers else "no publisher"
             yield f"no image came on {self.name} for {silent_s:.0f} s: it has {there}"
+        if (other := self.other_clock) is not None:
+            said = clocks_apart(f"the clock of {self.name}", other.camera, other.own)
+            yield f"{said}; set it, or use_sim_time for a bag"
         yield from (trouble for trouble in (self._jumped, self._failed) if trouble)
 
     def _hear_qos(self, event: Any) -> None:
         self._refused = event.total_count
 
     def _take(self, message: Any) -> None:
-        stamp = message.header.stamp
-        stamp_s = stamp.sec + stamp.nanosec / 1e9
-        if stamp_s < self._stamp_s - _JUMP_S:
+        taken_s = stamp_s(message)
+        if taken_s < self._stamp_s - _JUMP_S:
             self._jumped = (
-                f"the stamps of {self.name} went back by {self._stamp_s - stamp_s:.1f} s: a clock was set, or a bag "
+                f"the stamps of {self.name} went back by {self._stamp_s - taken_s:.1f} s: a clock was set, or a bag "
                 "begins again; images are taken in the order in which they come"
             )
-        self._stamp_s = stamp_s
+        self._stamp_s = taken_s
         self._last_s = self._now_s()
         self.received += 1
         self._failed = ""
+        self.other_clock = other_clock(node_s(self._node), taken_s)
         self._came(message)
 
 
@@ -118,6 +124,23 @@ async def jpeg_soon(topic: str, message: Any) -> bytes:
 
 def age_s(node: Any, message: Any) -> float:
     """How old an image is by its stamp; 0 if its stamp is of another clock."""
+    now_s, then_s = node_s(node), stamp_s(message)
+    return 0.0 if other_clock(now_s, then_s) else max(0.0, now_s - then_s)
+
+
+def other_clock(now_s: float, stamp_s: float) -> OtherClock | None:
+    """The two times if the stamp can be of no clock that agrees with this computer's, else None."""
+    if abs(now_s - stamp_s) <= _APART_S:
+        return None
+    return OtherClock(datetime.fromtimestamp(stamp_s, UTC), datetime.fromtimestamp(now_s, UTC))
+
+
+def node_s(node: Any) -> float:
+    """The time by the node's clock, in seconds since 1970, or of a simulation."""
+    return float(node.get_clock().now().nanoseconds / 1e9)
+
+
+def stamp_s(message: Any) -> float:
+    """The time of the message's stamp, in seconds since 1970."""
     stamp = message.header.stamp
-    seconds = node.get_clock().now().nanoseconds / 1e9 - (stamp.sec + stamp.nanosec / 1e9)
-    return seconds if 0 <= seconds <= FRESH_S else 0.0
+    return float(stamp.sec + stamp.nanosec / 1e9)

@@ -134,6 +134,11 @@ class EdgeServer:
             self._status_of_daemon(),
         )
 
+    @property
+    def is_closing(self) -> bool:
+        """Whether new requests are refused, as the daemon ends."""
+        return bool(self._host.closing)
+
     def seen(self, server: str, drone: str) -> None:
         """Renew the lease of the drone with that `Client.key`, whose calls passed the door."""
         self._host.at(server).seen(drone, now_s=self._now_s())

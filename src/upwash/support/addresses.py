@@ -6,6 +6,7 @@ import ipaddress
 import socket
 from collections.abc import Collection
 
+WITHOUT_ZONE = "a link-local address needs the name of its interface, as in [fe80::1%eth0]:7070"
 _BACKLOG = 512
 
 
@@ -21,6 +22,22 @@ def listening_at(listen: str) -> socket.socket:
     family, _, _, _, place = socket.getaddrinfo(host, int(port), type=socket.SOCK_STREAM)[0]
     is_any = family == socket.AF_INET6 and place[0] == "::"
     return socket.create_server(place, family=family, backlog=_BACKLOG, dualstack_ipv6=is_any)
+
+
+def address_of(listening: socket.socket) -> str:
+    """The `HOST:PORT` of a socket; a link-local IPv6 address has its zone."""
+    numeric = socket.NI_NUMERICHOST | socket.NI_NUMERICSERV
+    host, port = socket.getnameinfo(listening.getsockname(), numeric)
+    return f"[{host}]:{port}" if listening.family == socket.AF_INET6 else f"{host}:{port}"
+
+
+def lacks_zone(address: str) -> bool:
+    """Whether `HOST:PORT` is a link-local IPv6 address that names no interface, so that no socket can use it."""
+    try:
+        host = ipaddress.IPv6Address(address.rpartition(":")[0].strip("[]"))
+    except ValueError:
+        return False
+    return host.is_link_local and host.scope_id is None
 
 
 def names_this_machine(host: str, *, known_as: Collection[str], reached_at: str) -> bool:

@@ -8,6 +8,7 @@ import re
 import shlex
 import signal
 from collections.abc import Sequence
+from datetime import datetime
 
 LONGEST_TEXT = 1000
 _NUMBER = re.compile(r"[ \t]*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?[ \t]*", re.ASCII)
@@ -56,6 +57,14 @@ def worded(error: BaseException) -> str:
     """The type of an error, and its message if it has one."""
     kind, message = type(error).__name__, message_of(error)
     return f"{kind}: {message}" if message else kind
+
+
+def clocks_apart(of: str, says: datetime, own: datetime) -> str:
+    """What a clock says beside this computer's, and the difference."""
+    behind_s = (own - says).total_seconds()
+    side = "behind" if behind_s > 0 else "ahead"
+    times = f"{says:%Y-%m-%d %H:%M:%S} UTC where this computer's says {own:%Y-%m-%d %H:%M:%S} UTC"
+    return f"{of} says {times}: {abs(behind_s):.1f} s {side}"
 
 
 def words_of(text: str) -> str:

@@ -32,6 +32,7 @@ from upwash.real.link.proxy import Connect
 from upwash.real.link.streams import StreamEnd, endpoint_of, join, listening_socket, readable
 from upwash.real.link.tls import shake_hands
 from upwash.real.trust.credentials import Distrusted, Holder, Trust, holder_of
+from upwash.support.addresses import address_of
 from upwash.support.background import beside, end, only_logged, start, thread
 
 _log = logging.getLogger("upwash.door")
@@ -115,8 +116,7 @@ class Door:
 
     async def lead(self, listening: socket.socket, inside: Connect, *, server: str = "") -> Entrance:
         """Leads callers of the listening socket, now the door's, to `inside`, an instance of the server."""
-        host, port = listening.getsockname()[:2]
-        address = f"[{host}]:{port}" if listening.family == socket.AF_INET6 else f"{host}:{port}"
+        address = address_of(listening)
         listening.setblocking(False)
 
         async def begin() -> asyncio.Task[None]:

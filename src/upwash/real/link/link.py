@@ -34,6 +34,7 @@ from upwash.rpc.protocol import (
     service_path,
 )
 from upwash.rpc.service import Request, with_queue
+from upwash.support.addresses import WITHOUT_ZONE
 from upwash.support.background import only_logged, thread
 from upwash.support.text import printable
 
@@ -74,6 +75,7 @@ _TROUBLES = {  # the same of any connection that failed; the first that fits
     "No such file or directory": "no such socket: nobody serves there",
     "Socket closed": _HUNG_UP,
     "Connection reset by peer": _HUNG_UP,
+    "error: Invalid argument": WITHOUT_ZONE,  # of connect(2)
 }
 _ROUND_TRIPS, _FIRST_ROUND_TRIPS = 2, 8  # of a question, without and with connecting; some are lost
 _LEAST_ROUND_TRIPS = 4  # until the first answer: TCP, TLS, HTTP/2, and the question

@@ -15,6 +15,7 @@ from upwash.errors import NoLease, NotBegun, Refused, UpwashError, UsageError
 from upwash.real.link.requests import Caller, Requests, words_for_caller
 from upwash.rpc.protocol import HEALTH_CHECK, MAY_QUEUE_METADATA, QUEUE_METADATA, QUEUED_METADATA, SERVING
 from upwash.rpc.service import Reply, bounded_queue_s
+from upwash.support.addresses import WITHOUT_ZONE, lacks_zone
 from upwash.support.text import printable
 
 DRONE_METADATA = "upwash-drone"  # names the caller where no certificate does: on a unix socket or on loopback
@@ -98,6 +99,8 @@ def _is_in_use(listen: str) -> bool:
 
 def cannot_listen(listen: str) -> UsageError:
     """The error for an address at which this program cannot listen, with the remedy."""
+    if lacks_zone(listen):
+        return UsageError(f"cannot listen on {listen}: {WITHOUT_ZONE}")
     return UsageError(
         f"cannot listen on {listen}: the address is in use or not this machine's; "
         "stop the other program or choose another address"
