@@ -82,3 +82,25 @@ def test_a_frame_that_waited_in_a_buffer_is_as_old_as_the_streams_times_say(cloc
     assert oldest_s > 1.9
     assert all(told_s == pytest.approx(true_s, abs=0.03 + 0.25 * oldest_s) for true_s, told_s in ages)
     assert ages[-1] == pytest.approx((0.0, 0.0), abs=1e-6)
+
+
+def test_frames_that_came_while_the_stream_was_opened_are_known_for_what_they_are() -> None:
+    times, stamps = FrameTimes(), steady(40, 0.04)
+    caught_up = []
+    at_s = 1.3  # when FFmpeg has studied the stream, which goes on meanwhile
+    for stamp_s in stamps:
+        waited_s = max(0.005, stamp_s - at_s)
+        at_s += waited_s
+        times.captured_s(at_s, waited_s=waited_s, stamp_s=stamp_s)
+        caught_up.append(times.caught_up)
+    first = caught_up.index(True)
+    assert stamps[first] > 1.3 and all(caught_up[first:])
+
+
+def test_a_stream_without_times_is_new_from_its_second_frame_on() -> None:
+    times = FrameTimes()
+    caught_up = []
+    for at_s in steady(3):
+        times.captured_s(at_s, waited_s=0.0)
+        caught_up.append(times.caught_up)
+    assert caught_up == [False, True, True]

@@ -19,7 +19,8 @@ class FrameTimes:
     After a gap, frames that arrive in less than three quarters of the usual interval are old: each was captured one
     usual interval after the frame before it. The first frame at the usual pace is new, and each frame when the burst
     has made up for the gap. A frame for which the reader did not wait may have waited itself, in a buffer: its age is
-    counted by the stream's own times, from the last frame for which the reader waited.
+    counted by the stream's own times, from the last frame for which the reader waited. A stream has `caught_up` with
+    the frames that came while it was opened once the reader has waited for one.
     """
 
     def __init__(self) -> None:
@@ -28,15 +29,17 @@ class FrameTimes:
         self._late_s = 0.0
         self._ahead_s = math.inf  # the clock, of the stream's times, when the buffer was last empty
         self._stamp_s = 0.0
+        self.caught_up = False
 
     def captured_s(self, arrived_s: float, *, waited_s: float = math.inf, stamp_s: float = 0.0) -> float:
         """When the frame that arrives now was captured, if a stream without stalls delivers at once.
 
         The reader waited `waited_s` for it; `stamp_s` is its time in the stream, 0 if unknown.
         """
-        buffered_s = self._buffered_s(arrived_s, waited_s, stamp_s)
+        is_first = self._arrived_s is None
+        buffered_s = self._buffered_s(arrived_s, waited_s, stamp_s, is_first=is_first)
         interval_s = 0.0 if self._arrived_s is None else arrived_s - self._arrived_s
-        known, self._arrived_s = self._arrived_s is not None, arrived_s
+        known, self._arrived_s = not is_first, arrived_s
         if len(self._intervals_s) >= _FEWEST:
             usual_s = median(self._intervals_s)
             is_gap = interval_s > max(_GAP * usual_s, _LEAST_GAP_S)
@@ -50,10 +53,11 @@ class FrameTimes:
             self._intervals_s.append(interval_s)
         return arrived_s - max(self._late_s, buffered_s)
 
-    def _buffered_s(self, arrived_s: float, waited_s: float, stamp_s: float) -> float:
+    def _buffered_s(self, arrived_s: float, waited_s: float, stamp_s: float, *, is_first: bool) -> float:
         interval_s, self._stamp_s = stamp_s - self._stamp_s, stamp_s
         ahead_s = arrived_s - stamp_s
         if interval_s <= 0 or waited_s >= _PACE * interval_s:
             self._ahead_s = ahead_s
+            self.caught_up |= not is_first
         self._ahead_s = min(self._ahead_s, ahead_s)
         return ahead_s - self._ahead_s

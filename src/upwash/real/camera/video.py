@@ -29,6 +29,7 @@ _FRAME_S = 5.0
 _REOPEN_S = 1.0
 _LAST_FRAME_S = 1.0
 _LEAST_BEHIND_S = 1.0
+_CATCHES_UP_S = 3.0  # with the frames that came while FFmpeg studied the stream
 _OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
 # Of named pipes and .sdp files: FFmpeg opens what such a file names only if allowed, and studies a stream for 5 s.
 _FOR_PIPES = "rtsp_transport;tcp|protocol_whitelist;file,crypto,data,udp,rtp|analyzeduration;1000000"
@@ -132,6 +133,7 @@ class VideoCamera:
     def _read_frames(self, capture: _Capture) -> None:
         self._trouble = "it is open, but shows nothing"
         times, pace = FrameTimes(), FilmPace(capture.interval_s, self._loop.time())
+        opened_s = self._loop.time()
         while not self._closed.wait(pace.pause_s(self._loop.time())):
             waits_s = self._loop.time()
             if not capture.next():
@@ -149,7 +151,8 @@ class VideoCamera:
                     self._name,
                     1 / pace.interval_s,
                 )
-            jpeg = capture.jpeg() if self._requests else None
+            is_new = capture.interval_s is not None or times.caught_up or arrived_s > opened_s + _CATCHES_UP_S
+            jpeg = capture.jpeg() if self._requests and is_new else None
             self._trouble = capture.trouble or self._trouble
             if jpeg is not None:
                 photo = Photo(jpeg, captured_s, source=self._name, lens=self._lens)
