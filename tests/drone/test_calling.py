@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,13 +14,14 @@ import pytest
 from upwash import service
 from upwash.core.geo import Position
 from upwash.core.operation import Operation
-from upwash.core.policies.policy import Local, Remote
+from upwash.core.policies.policy import Inputs, Local, Remote
 from upwash.core.selection import events
+from upwash.core.selection.deadlines import Deadline, Deadlines
 from upwash.core.selection.lanes import Lanes
 from upwash.drone.calling import CallAnswer, Calling, Invocation
 from upwash.errors import DeadlineExceeded, LinkError, NoLease, NotBegun, Refused, Unreachable
 from upwash.eventlog import schema
-from upwash.rpc.service import spec_of, with_queue
+from upwash.rpc.service import Method, spec_of, with_queue
 from upwash.sim.loop import run_virtually
 
 
@@ -59,6 +60,9 @@ class Field:
     denied: list[str] = field(default_factory=list)
     asked: list[Any] = field(default_factory=list)  # of the drone's own service
     cut: events.RemoteCallCut | None = None
+    deadlines: Deadlines = field(default_factory=Deadlines)
+    is_left: bool = False  # the server, while a part made the request smaller
+    sent: list[bytes] = field(default_factory=list)  # to the server
     overtakes = False
     position = HERE
 
@@ -68,7 +72,16 @@ class Field:
         self.session = self.selection = self.estimates = this
         self.lanes = Lanes()
         self.servers = {"s1": SimpleNamespace(check=CHECK)}
-        self.calling = Calling(this, this, own, this, this)
+        self.calling = Calling(this, this, own, this, this, deadlines=self.deadlines, before_sending=this)
+
+    async def reduce(self, service: str, method: Method, request: bytes, *, deadline_s: float) -> bytes:
+        await asyncio.sleep(0.25)
+        return request[1:]
+
+    def may_send(self, server: str, check: int) -> bool:
+        return not self.is_left
+
+    def second(self, operation: Operation, *, beside: str) -> None: ...
 
     def hold(self, computing: asyncio.Task[Any], place: str, takes_s: float | None) -> None:
         self.lanes.hold(computing, place, 0.0)
@@ -107,6 +120,7 @@ class Field:
         self.denied.append(service)
 
     async def call(self, service: str, method: str, request: bytes, **limits: float) -> bytes:
+        self.sent.append(request)
         return await _given(self.server, self.server_s)
 
     async def _onboard(self, service: str, method: str, request: bytes, **how: Any) -> bytes:
@@ -173,6 +187,24 @@ def test_a_failure_is_told_with_what_it_shows_of_the_path_and_of_the_servers_spe
     assert field.told == [*failed(str(error)), *([reached(None)] if is_reached else []), COMPUTED]
     assert field.cut == (events.RemoteCallCut("s1", OPERATION, 0.5) if is_cut else None)
     assert field.known_s == []
+
+
+def test_a_call_without_an_answer_counts_as_late_in_what_a_deadline_promises() -> None:
+    known = Deadlines({OPERATION: Deadline(1.0, 0.9, 0.1)}, {("s1", OPERATION): [0.5] * 100})
+    before = known.prospect(OPERATION, "s1", None)
+    answered(ALONE, server=Unreachable("silent"), deadlines=known)
+    after = known.prospect(OPERATION, "s1", None)
+    assert before is not None and after is not None
+    assert after.probability < before.probability
+
+
+@pytest.mark.parametrize("is_left", [False, True])
+def test_a_call_whose_server_was_left_while_its_request_was_made_smaller_is_not_sent(is_left: bool) -> None:
+    less = replace(ALONE, inputs=Inputs(whole_s=1.0, less_s=0.8))
+    field, answer = answered(less, is_left=is_left)
+    assert field.sent == ([] if is_left else [CALL.request[1:]])
+    assert answer.server == (None if is_left else "s1")
+    assert answer.reply.value == 7
 
 
 def test_a_slot_that_was_taken_in_a_call_is_no_failure_of_the_server() -> None:

@@ -418,3 +418,11 @@ def test_a_call_that_runs_once_computes_beside_no_other() -> None:
     with patch.object(Method, "once", property(lambda _: True)):
         ends = [call.t for call in of(flown(program), schema.Call)]
     assert min(later - sooner for sooner, later in itertools.pairwise(ends)) >= 10.0
+
+
+def test_of_the_demands_that_came_during_an_act_the_nearest_is_met_first() -> None:
+    known = at_once(scenario(waypoints_m=ROWS, photos={"every_m": 20.0}, action_s=600.0))
+    slow = tuple(replace(each, local_call_s={"light": 3.0, "heavy": 40.0}) for each in known.services)
+    shows = [Position(20.0, 0.0), Position(100.0, 0.0), Position(20.0, 20.0)]  # spots 1, 5 and 10
+    part = fly(replace(known, services=slow), shows=shows)
+    assert [event.waypoint for event in of(part.events, schema.Acted)] == [1, 10, 5]
