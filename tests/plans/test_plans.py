@@ -240,7 +240,7 @@ REFUSED_LISTS = [
     ("2\t0\t3\t16", "2\t0\t-3\t16", "line 4", "whole number"),
     ("2\t0\t3\t16", "2\t0\t3\t16.5", "line 4", "whole number"),
     ("39.3676", "nan", "item 2", "has latitude nan"),
-    ("39.3676", "-1e999", "item 2", "has latitude -inf"),
+    ("39.3676", "-1e999", "line 4", 'found "-1e999"'),
     ("39.3676", "north", "line 4", 'found "north"'),
     ("39.3676\t", "", "line 4", "expected 12 numbers, found 11"),
     ("25\t1\n", "25\t0\n", "item 2", "autoContinue"),

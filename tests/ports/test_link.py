@@ -24,6 +24,7 @@ from tests.doors import behind_door
 from tests.waiting import wait_for
 
 from upwash.errors import DeadlineExceeded, LinkError, NoLease, Refused, Unreachable, UpwashError, UsageError
+from upwash.real.host.log import RateLimitedLog
 from upwash.real.link.link import GrpcDialer, GrpcLink
 from upwash.real.link.listener import DRONE_METADATA, Listener, WhoIs, seconds_of
 from upwash.real.link.requests import Caller, Gate, Handler, Requests
@@ -35,6 +36,13 @@ LARGE = 2**24  # bytes: more than sockets hold
 PATH = "/upwash.test/echo"
 
 ReadCredentials = Callable[[str], Credentials]
+
+
+@pytest.fixture(autouse=True)
+def no_line_was_written_of_a_client(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Log lines of one client are bounded, and the tests have the same clients."""
+    for name in ("upwash.door", "upwash.listener"):
+        monkeypatch.setattr(logging.getLogger(name), "filters", [RateLimitedLog()])
 
 
 def echo(_path: str, body: bytes, _caller: Caller) -> bytes:

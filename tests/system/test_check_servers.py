@@ -167,7 +167,7 @@ async def test_a_service_that_fails_on_the_photo_is_not_ready(
     assert "failing.find failed on 1.jpg" in (await found(tmp_path, keys, f"{programs}:Failing")).trouble
 
 
-@pytest.mark.parametrize(("daemons_s", "own_s"), [(1.0, 30.0), (60.0, 0.1)])
+@pytest.mark.parametrize(("daemons_s", "own_s"), [(10.0, 60.0), (60.0, 0.1)])
 async def test_a_start_that_takes_too_long_names_the_key(
     tmp_path: Path, keys: Path, programs: Path, daemons_s: float, own_s: float
 ) -> None:

@@ -10,18 +10,19 @@ import asyncio
 import contextlib
 import logging
 import os
-import pickle
 import signal
 import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TypeAlias
+from pathlib import Path
+from typing import Any, TypeAlias
 
 import msgspec
 
 from upwash.config import DaemonConfig
 from upwash.config.daemon import ImageConfig
+from upwash.config.values import SettingsTable
 from upwash.errors import UpwashError, UsageError
 from upwash.launch.confinement import Confinement
 from upwash.missions.bundled import load_configured
@@ -86,14 +87,23 @@ class DaemonServices:
         looks = range(len(config.images))
         found: list[Looked] = [_UPGRADED for _ in looks]
         if not is_loaded:
-            found = [_look_at(config, index) for index in looks]
+            found = [
+                Image(Program("", each.settings.values if each.settings else {}))  # the image checks them
+                for each in config.images
+            ]
         elif await in_thread(version_of_upwash, name="the version of upwash") == self.upwash:
             found = await asyncio.gather(*(self._looked_at_elsewhere(config, index) for index in looks))
         images, stay = dict[str, Image](), dict[str, str]()
         for service, looked in zip(config.images, found, strict=True):
             name = service.name
             if isinstance(looked, Image):
-                images[name] = replace(looked, limits=limits[name], devices=devices[name])
+                images[name] = replace(
+                    looked,
+                    pace_s=service.pace_s,
+                    start_pace_s=service.start_pace_s,
+                    limits=limits[name],
+                    devices=devices[name],
+                )
             elif self._named.get(name) != _named(service):
                 raise UsageError(looked)
             else:
@@ -131,10 +141,13 @@ async def _looked_at_elsewhere(config: DaemonConfig, index: int) -> Looked:
     )
     try:
         async with asyncio.timeout(config.start_timeout_s):
-            said, _ = await process.communicate(pickle.dumps((config, index)))
+            said, _ = await process.communicate(_question(config, index))
         looked: Looked = msgspec.msgpack.decode(said, type=Looked)
     except TimeoutError:
-        looked = f"{config.images[index].name} is not loaded within {config.start_timeout_s:g} s"
+        looked = (
+            f"{config.images[index].name} is not loaded within {config.start_timeout_s:g} s: raise "
+            "start_timeout_s in the daemon's configuration, or see what its import waits for"
+        )
     except msgspec.MsgspecError:
         looked = f"the process that loads it ended with code {await process.wait()}"
     finally:
@@ -146,36 +159,56 @@ async def _looked_at_elsewhere(config: DaemonConfig, index: int) -> Looked:
     return looked
 
 
-def _look_at(config: DaemonConfig, index: int) -> Looked:
+class _Question(msgspec.Struct):
+    """A service of a configuration, whose key there is `key`, for the process that loads it."""
+
+    key: str
+    name: str
+    program: str | None
+    command: tuple[str, ...]
+    settings: dict[str, Any] | None
+    file: str  # of the settings
+    readable: tuple[str, ...]
+
+
+def _question(config: DaemonConfig, index: int) -> bytes:
+    service = config.images[index]
+    table = service.settings
+    return msgspec.msgpack.encode(
+        _Question(
+            f"service[{index}]",
+            service.name,
+            service.program,
+            tuple(service.command),
+            None if table is None else dict(table.values),
+            "" if table is None else str(table.file),
+            tuple(map(str, config.runtime.readable)),
+        )
+    )
+
+
+def _look_at(asked: _Question) -> Looked:
+    settings = None if asked.settings is None else SettingsTable(Path(asked.file), asked.settings)
+    service = ImageConfig(name=asked.name, program=asked.program, command=asked.command, settings=settings)
     try:
-        return _image(config, config.images[index], f"service[{index}]")
+        loaded = load_configured(service, asked.key)
     except UpwashError as error:
         return str(error)
-
-
-def _image(config: DaemonConfig, service: ImageConfig, key: str) -> Image:
-    """What the service is; in a container its program is the image's, and checks its settings there."""
-    if config.runtime.kind != "process":
-        known = Image(Program("", service.settings.values if service.settings else {}))
-    else:
-        loaded = load_configured(service, key)
-        spec = spec_of(loaded.cls)
-        known = Image(
-            loaded.program,
-            methods=frozenset(spec.methods),
-            lanes=spec.concurrency,
-            version=version_of(loaded.program, config.runtime.readable),
-        )
-    return replace(known, pace_s=service.pace_s, start_pace_s=service.start_pace_s)
+    spec = spec_of(loaded.cls)
+    return Image(
+        loaded.program,
+        methods=frozenset(spec.methods),
+        lanes=spec.concurrency,
+        version=version_of(loaded.program, tuple(map(Path, asked.readable))),
+    )
 
 
 def main() -> None:
-    """Looks at a service of a configuration that comes over standard input, and says what there is."""
+    """Looks at the service that comes over standard input, and says what there is."""
     answer = os.dup(1)
     os.dup2(2, 1)  # for what the services print
     look_here()
-    config, index = pickle.load(sys.stdin.buffer)  # noqa: S301 - from the daemon itself
-    looked = _look_at(config, index)
+    looked = _look_at(msgspec.msgpack.decode(sys.stdin.buffer.read(), type=_Question))
     with os.fdopen(answer, "wb") as opened:
         opened.write(msgspec.msgpack.encode(looked))
 
