@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import io
 import json
+from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import MappingProxyType
 
 import pytest
 from rich.console import Console
@@ -42,14 +44,19 @@ name = "s1"
 
 
 def reply(
-    name: str, *, ends: datetime = NOW + YEAR, closing: str = "", refused: str = "", **digests: str
+    name: str,
+    digests: Mapping[str, str] = MappingProxyType({}),
+    *,
+    ends: datetime = NOW + YEAR,
+    closing: str = "",
+    refused: str = "",
 ) -> StatusReply:
     """Of a daemon that acts as the server, with a drone that has its slot and one that waits."""
     host = AdmissionController({name: ServerOffer(frozenset(), slots=1)})
     for drone in ("heron", "tern"):
         host.availability(name, [], Client(drone), now_s=0.0)
-    digests = {"configuration": OLD, "keys": name, "revocations": OLD} | digests
-    parts = {part: PartStatus(digest, NOW, refused) for part, digest in digests.items()}
+    known = {"configuration": OLD, "keys": name, "revocations": OLD, **digests}
+    parts = {part: PartStatus(digest, NOW, refused) for part, digest in known.items()}
     reload = ReloadStatus(NOW - timedelta(seconds=65), "process 1", NOW)
     daemon = DaemonStatus("0.1.0", "", OLD, "required", NOW, None, 0, parts, reload)
     certificates = [CertificateStatus(name, ends)]
@@ -80,13 +87,12 @@ def test_each_server_has_one_line_and_one_that_is_silent_says_why() -> None:
 
 @pytest.mark.parametrize("part", ["configuration", "revocations", "service detector"])
 def test_a_server_that_missed_a_reload_differs_from_most(part: str) -> None:
-    newer = {part: NEW}
-    servers = {name: reply(name, **newer) for name in ("s1", "s2")} | {"s3": reply("s3", **{part: OLD})}
+    servers = {name: reply(name, {part: NEW}) for name in ("s1", "s2")} | {"s3": reply("s3", {part: OLD})}
     assert wrong(**servers) == {"s3": (f"{part}: not as on the other servers",)}
 
 
 def test_without_a_majority_revocations_differ_everywhere_and_configurations_are_each_servers_own() -> None:
-    own = {name: reply(name, configuration=name, revocations=name) for name in ("s1", "s2")}
+    own = {name: reply(name, {"configuration": name, "revocations": name}) for name in ("s1", "s2")}
     assert set(wrong(**own)) == {"s1", "s2"}
     assert {view.differs for view in seen(**own).values()} == {("revocations",)}
 
@@ -95,7 +101,7 @@ def test_a_daemon_with_two_servers_is_no_majority() -> None:
     servers = [
         ListedServer(name=name, address=at) for name, at in (("s1", "a:1"), ("s2", "a:1"), ("s3", "b:1"))
     ]
-    replies = [reply("s1"), reply("s2"), reply("s3", configuration=NEW)]
+    replies = [reply("s1"), reply("s2"), reply("s3", {"configuration": NEW})]
     assert not any(view.differs for view in views(servers, replies, NOW))
 
 

@@ -36,7 +36,7 @@ _COLUMNS = (
 
 
 class ServerView(Struct, frozen=True):
-    """A server, its daemon's reply if there is one, the parts in which it `differs`, and what is wrong."""
+    """A server. `reply` is None if its daemon did not answer; `differs` has the parts that most have otherwise."""
 
     server: str
     address: str
@@ -91,7 +91,7 @@ def differing(daemons: Mapping[str, DaemonStatus]) -> dict[str, list[str]]:
 
 
 def _wrong(name: str, reply: StatusReply, now: datetime) -> Iterator[str]:
-    """What is wrong with a server that answered, whatever the others are like."""
+    """What is wrong with a server that answered, except for differences from other servers."""
     if reply.closing:
         yield reply.closing
     for part, known in reply.daemon.parts.items() if reply.daemon is not None else ():

@@ -15,14 +15,14 @@ from upwash.real.trust.credentials import read_credentials
 from upwash.rpc.protocol import LONGEST_STATUS_BYTES, STATUS, StatusReply, StatusRequest, decode_reply
 
 _STATUS_S = 10.0
-_EACH_S = 5.0  # of many, where one that is off is common
+_EACH_S = 5.0  # of many servers: some may be off
 _MOST_AT_ONCE = 32
 
 
 async def ask_each(
     servers: Sequence[ListedServer], *, operator: str, keys: Path | None
 ) -> list[StatusReply | LinkError]:
-    """The status of each server's daemon, or why there is none, in the order of the servers; 32 are asked at once."""
+    """The status of each server's daemon, or why there is none, in their order; 32 requests run at once."""
     turn = asyncio.Semaphore(_MOST_AT_ONCE)
 
     async def ask(server: ListedServer) -> StatusReply | LinkError:
