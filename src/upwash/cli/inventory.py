@@ -50,13 +50,8 @@ def views(
 ) -> list[ServerView]:
     """Each server with its daemon's reply, or with the reason why there is none; `now` is the time here."""
     asked = list(zip(servers, replies, strict=True))
-    differ = differing(
-        {
-            server.address: reply.daemon
-            for server, reply in asked
-            if isinstance(reply, StatusReply) and reply.daemon
-        }
-    )
+    daemons = ((server.address, reply.daemon) for server, reply in asked if isinstance(reply, StatusReply))
+    differ = differing({address: daemon for address, daemon in daemons if daemon is not None})
     return [_view(server, reply, tuple(differ.get(server.address, ())), now) for server, reply in asked]
 
 
@@ -66,9 +61,8 @@ def _view(
     if isinstance(reply, LinkError):
         return ServerView(server.name, server.address, None, differs, (str(reply),))
     unlike = (f"{part}: not as on the other servers" for part in differs)
-    return ServerView(
-        server.name, server.address, reply, differs, (*_wrong(server.name, reply, now), *unlike)
-    )
+    wrong = (*_wrong(server.name, reply, now), *unlike)
+    return ServerView(server.name, server.address, reply, differs, wrong)
 
 
 def differing(daemons: Mapping[str, DaemonStatus]) -> dict[str, list[str]]:
@@ -124,23 +118,21 @@ def print_views(found: Sequence[ServerView], console: Console) -> None:
     say(f"well: {sum(not view.wrong for view in found)} of {len(found)}", console)
 
 
-def _cells(view: ServerView) -> Iterator[Text]:
+def _cells(view: ServerView) -> Iterator[Text | str]:
     """The columns between the name and what is wrong; empty where nothing is known."""
     reply = view.reply
     server = None if reply is None else _server(view.server, reply)
     daemon = None if reply is None else reply.daemon
-    yield Text("" if daemon is None else daemon.version)
-    yield Text("" if server is None else f"{len(server.leases)} of {server.slots}")
-    yield Text("" if server is None else f"{sum(each.waits_s is not None for each in server.accounts)}")
+    yield "" if daemon is None else Text(daemon.version)
+    yield "" if server is None else f"{len(server.leases)} of {server.slots}"
+    yield "" if server is None else str(sum(each.waits_s is not None for each in server.accounts))
     for part in (CONFIGURATION, REVOCATIONS):
         known = None if daemon is None else daemon.parts.get(part)
         mark = "*" if part in view.differs else ""
-        yield Text(
-            "" if known is None else f"{known.digest[:DIGITS]}{mark}", style="bold red" if mark else ""
-        )
-    yield Text("" if daemon is None else _reload(daemon))
+        yield "" if known is None else Text(known.digest[:DIGITS] + mark, style="bold red" if mark else "")
+    yield "" if daemon is None else _reload(daemon)
     ends = [certificate.expires for certificate in reply.certificates] if reply is not None else []
-    yield Text(f"until {min(ends):%Y-%m-%d}" if ends else "")
+    yield f"until {min(ends):%Y-%m-%d}" if ends else ""
 
 
 def _reload(daemon: DaemonStatus) -> str:
