@@ -19,7 +19,7 @@ PATHS = {
     "check": {"config": "read", "--figures": "filled"},
     "ros": {"--config": "read", "--log": "written"},
     "serve": {"--config": "read"},
-    "status": {"--keys": "read"},
+    "status": {"--inventory": "read", "--keys": "read"},
     "keys": {"folder": "filled", "--signing": "written"},
     "package": {"--output": "filled", "--config": "read", "--include": "read"},
     "images": {"--config": "read"},

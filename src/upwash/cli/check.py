@@ -11,6 +11,7 @@ from upwash.cli.arguments import OneOf, figures_of, figures_with, flown_by, opti
 from upwash.config import read_drone_config, refuse_several
 from upwash.errors import UsageError
 from upwash.lab.campaigns.campaign import here_first
+from upwash.lab.run import renders_photos
 from upwash.preflight.capacity import show_capacity
 from upwash.preflight.check import read_plan
 from upwash.preflight.display import show_check
@@ -20,7 +21,7 @@ from upwash.support.progress import work
 ARGUMENTS = {
     "config": reads("the drone's configuration or a scenario, a TOML file"),
     **seeds_of("where there is noise, fly each prediction", default=5),
-    "--workers N": "processes, where they pay (default: one per core)",
+    "--workers N": "processes, where they pay (default: one per core; one for photos of camera.park_seed)",
     "--place N": option("suggest where N more servers would help most, together", default=0),
     "--place-all": "suggest where the file's own servers would help most, together",
     **figures_with("the coverage"),
@@ -60,13 +61,15 @@ def run(options: argparse.Namespace) -> bool:
         return show_fleet_check(plan, seeds=options.seeds, as_json=options.json, workers=options.workers)
     if options.place and options.place_all:
         raise UsageError("--place adds servers and --place-all moves those of the file: give one of them")
+    # a process renders each photo once: several would take longer for that than one for all missions
+    workers = options.workers or (1 if renders_photos(plan.config) else None)
     return show_check(
         plan,
         seeds=options.seeds,
         more_servers=0 if options.place_all else options.place or None,
         as_json=options.json,
         figures=figures_of(options),
-        fly=here_first(options.workers),
+        fly=here_first(workers),
     )
 
 

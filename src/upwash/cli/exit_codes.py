@@ -20,7 +20,7 @@ class ExitCode(IntEnum):
 
 MEANINGS = {
     ExitCode.DONE: "success",
-    ExitCode.FAILURE: "failure, a warning of a check, or a broken promise",
+    ExitCode.FAILURE: "failure, a warning of a check, a server that is not well, or a broken promise",
     ExitCode.USAGE: "what was typed or configured cannot work; nothing was started",
     ExitCode.NOT_KEPT: "success, but a part of the event log or of the output could not be written",
     ExitCode.RESERVE: "the battery ended the mission, at the reserve",

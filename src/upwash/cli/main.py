@@ -38,7 +38,7 @@ _COMMANDS = {
     "check": "predict a mission, and warn of problems, before take-off",
     "ros": "run a ROS 2 node whose images are computed here or on a server",
     "serve": "run an edge daemon",
-    "status": "ask an edge daemon for its leases, instances and refusals",
+    "status": "ask an edge daemon for its leases, instances and refusals, or many whether they are well",
     "keys": "make an authority and certificates for servers and drones, or show them",
     "package": "make the image of a service, to run in containers",
     "images": "list the services that a daemon can run, and what is missing",

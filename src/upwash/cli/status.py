@@ -1,10 +1,11 @@
-"""upwash status: asks an edge daemon how it is."""
+"""upwash status: asks an edge daemon how it is, or many."""
 
 from __future__ import annotations
 
 import argparse
 import asyncio
 import math
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 
@@ -13,7 +14,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from upwash.cli.arguments import announce, option, reads
+from upwash.cli.arguments import OneOf, announce, option, reads
+from upwash.cli.inventory import DIGITS, SOON_DAYS, print_views, views
+from upwash.config import read_inventory
 from upwash.core.admission.clients import (
     AccountStatus,
     DroneUsage,
@@ -23,22 +26,26 @@ from upwash.core.admission.clients import (
     TeamUsage,
 )
 from upwash.core.admission.limits import Limits
-from upwash.launch.status import ask_status
+from upwash.errors import UsageError
+from upwash.launch.status import ask_each, ask_status
 from upwash.real.trust.credentials import at_second
 from upwash.rpc.protocol import CertificateStatus, DaemonStatus, ReloadStatus, StatusReply
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
-from upwash.support.text import counted
+from upwash.support.text import counted, duration
 
-_SOON_DAYS = 30
 _MOST_SHOWN = 20
-_DIGITS = 12  # of a hash
+_WATCH_S = 5.0
 _USAGE = ("slots in all", "calls", "computing", "last call")
 _STATE_STYLES = {"running": "green", "starting": "yellow", "stopping": "yellow"}
 
 
 ARGUMENTS = {
-    "address ADDRESS": "of the daemon: host:port, or unix:path",
+    "address ADDRESS": option("of the daemon: host:port, or unix:path", nargs="?"),
+    "--inventory FILE": reads(
+        "ask the servers of this TOML file at once, print a line for each, and end with code 1 if one is not well; "
+        "it has a table [[server]] with name and address for each, as a drone's configuration"
+    ),
     "--server NAME": option("a server that the daemon acts as", default=""),
     "--operator NAME": option(
         "the operator whose certificate is used (default: operator)", default="operator"
@@ -46,12 +53,23 @@ ARGUMENTS = {
     "--keys DIR": reads(
         "where authority.pem, NAME.pem and NAME.key lie; without it none are used, on this machine only"
     ),
-    "--json": "print the daemon's answer as JSON, for programs",
+    "shown": OneOf(
+        {
+            "--json": "print the answer as JSON, for programs",
+            "--watch": "with --inventory: ask again every 5 s, until Ctrl-C",
+        }
+    ),
 }
 
 
-def run(options: argparse.Namespace) -> None:
-    """Ask the daemon, and print its answer."""
+def run(options: argparse.Namespace) -> bool:
+    """Ask the daemon, or each of the list, and print the answers; true where no server of a list has a problem."""
+    if (options.address is None) == (options.inventory is None):
+        raise UsageError("name a daemon's address, or a list of servers by --inventory FILE: one of them")
+    if options.inventory is not None:
+        return _run_on_many(options)
+    if options.watch:
+        raise UsageError("--watch shows a list of servers: give --inventory FILE in place of the address")
     reply = asyncio.run(
         ask_status(options.address, server=options.server, operator=options.operator, keys=options.keys)
     )
@@ -59,11 +77,30 @@ def run(options: argparse.Namespace) -> None:
         announce(msgspec.json.encode(reply).decode())
     else:
         print_status(reply, Console(markup=False))
+    return True
+
+
+def _run_on_many(options: argparse.Namespace) -> bool:
+    if options.server:
+        raise UsageError("--server is for an address: the list of --inventory names its servers")
+    servers, console = read_inventory(options.inventory), Console(markup=False)
+    while True:
+        replies = asyncio.run(ask_each(servers, operator=options.operator, keys=options.keys))
+        found = views(servers, replies, datetime.now(UTC))
+        if options.json:
+            announce(msgspec.json.encode(found).decode())
+        else:
+            if options.watch:
+                console.clear()
+            print_views(found, console)
+        if not options.watch:
+            return not any(view.wrong for view in found)
+        time.sleep(_WATCH_S)
 
 
 def print_status(status: StatusReply, console: Console) -> None:
     """Print the servers with drones and instances, the limits, the last refusals, and the certificates' ends."""
-    say(f"up for {_duration(status.up_s)}", console)
+    say(f"up for {duration(status.up_s)}", console)
     if status.daemon is not None:
         _print_daemon(status.daemon, console)
     if status.closing:
@@ -76,7 +113,7 @@ def print_status(status: StatusReply, console: Console) -> None:
         times = counted(door.times, "connection")
         reason = door.reason.replace("_", " ")
         say(
-            Text(f"at the door {times} refused, {reason}: last {door.last}, {_duration(door.ago_s)} ago"),
+            Text(f"at the door {times} refused, {reason}: last {door.last}, {duration(door.ago_s)} ago"),
             console,
         )
     _print_certificates(status.certificates, console)
@@ -84,17 +121,17 @@ def print_status(status: StatusReply, console: Console) -> None:
 
 def _print_daemon(daemon: DaemonStatus, console: Console) -> None:
     """Print which program runs, what is in force since when, and what the last reload refused."""
-    commit = f" (commit {daemon.commit[:_DIGITS]})" if daemon.commit else ""
+    commit = f" (commit {daemon.commit[:DIGITS]})" if daemon.commit else ""
     clock = {True: "kept in time", False: "not kept in time", None: "perhaps kept in time"}
     say(
-        Text(f"upwash {daemon.version}{commit}, code {daemon.code[:_DIGITS]}, sandbox {daemon.sandbox}"),
+        Text(f"upwash {daemon.version}{commit}, code {daemon.code[:DIGITS]}, sandbox {daemon.sandbox}"),
         console,
     )
     say(f"its clock says {at_second(daemon.time)}, and is {clock[daemon.clock_is_kept]}", console)
     table = _table("in force", "hash", "since", "")
     for part, status in daemon.parts.items():
         revoked = counted(daemon.revoked, "certificate") if part == "revocations" else ""
-        table.add_row(Text(part), status.digest[:_DIGITS], at_second(status.since), revoked)
+        table.add_row(Text(part), status.digest[:DIGITS], at_second(status.since), revoked)
     show_table(table, console)
     if daemon.reload is not None:
         _print_reload(daemon.reload, {part: known.refused for part, known in daemon.parts.items()}, console)
@@ -142,7 +179,7 @@ def _slots_and_turns(server: ServerStatus) -> str:
         return f"{slots}; turns have no end"
     have = "has" if server.turns_ended == 1 else "have"
     ended = f", {server.turns_ended} {have} ended so far" if server.turns_ended else ""
-    return f"{slots}; a turn lasts {_duration(server.turn_s)}{ended}"
+    return f"{slots}; a turn lasts {duration(server.turn_s)}{ended}"
 
 
 def _holders(server: ServerStatus) -> Iterator[str]:
@@ -152,21 +189,21 @@ def _holders(server: ServerStatus) -> Iterator[str]:
         account = accounts.get(lease.drone)
         since = ""
         if account is not None and account.holds_s is not None:
-            since = f"has a slot for {_duration(account.holds_s)}, {_counts_as(account)}; "
+            since = f"has a slot for {duration(account.holds_s)}, {_counts_as(account)}; "
         certificate = f", certificate {lease.certificate}" if lease.certificate else ""
         held = f", held as {lease.held_by} asked" if lease.held_by else ""
-        yield f"{lease.drone}: {since}lease ends in {_duration(lease.ends_in_s)}{certificate}{held}"
+        yield f"{lease.drone}: {since}lease ends in {duration(lease.ends_in_s)}{certificate}{held}"
 
 
 def _waiting(server: ServerStatus) -> Iterator[str]:
     """A line for each drone that waits for a slot, the next one first."""
     waiting = [(account, account.waits_s) for account in server.accounts if account.waits_s is not None]
     for account, waits_s in sorted(waiting, key=lambda entry: (entry[0].had_s, -entry[1], entry[0].drone)):
-        yield f"{account.drone}: waits for {_duration(waits_s)}, {_counts_as(account)}"
+        yield f"{account.drone}: waits for {duration(waits_s)}, {_counts_as(account)}"
 
 
 def _counts_as(account: AccountStatus) -> str:
-    return f"counts as having had {_duration(account.had_s)}"
+    return f"counts as having had {duration(account.had_s)}"
 
 
 def _print_usage(server: ServerStatus, console: Console) -> None:
@@ -175,7 +212,7 @@ def _print_usage(server: ServerStatus, console: Console) -> None:
     if latest:
         table = _table("drone", "slot for", *_USAGE)
         for usage in latest[:_MOST_SHOWN]:
-            holds = "" if usage.holds_s is None else _duration(usage.holds_s)
+            holds = "" if usage.holds_s is None else duration(usage.holds_s)
             table.add_row(Text(usage.drone), holds, *_used(usage))
         show_table(table, console)
     if len(latest) > _MOST_SHOWN:
@@ -189,8 +226,8 @@ def _print_usage(server: ServerStatus, console: Console) -> None:
 
 
 def _used(usage: DroneUsage | TeamUsage) -> tuple[str, str, str, str]:
-    ago = "" if usage.called_ago_s is None else f"{_duration(usage.called_ago_s)} ago"
-    return _duration(usage.slot_s), str(usage.calls), f"{usage.computed_s:.1f} s", ago
+    ago = "" if usage.called_ago_s is None else f"{duration(usage.called_ago_s)} ago"
+    return duration(usage.slot_s), str(usage.calls), f"{usage.computed_s:.1f} s", ago
 
 
 def _ago_s(usage: DroneUsage | TeamUsage) -> float:
@@ -200,7 +237,7 @@ def _ago_s(usage: DroneUsage | TeamUsage) -> float:
 def _instances(server: ServerStatus) -> Table:
     table = _table("instance", "state", "at", "unused for")
     for instance in server.instances:
-        unused = _duration(instance.unused_s) if instance.state == "running" else ""
+        unused = duration(instance.unused_s) if instance.state == "running" else ""
         state = Text(instance.state, style=_STATE_STYLES.get(instance.state, "dim"))
         table.add_row(Text(instance.service), state, Text(instance.endpoint), unused)
     return table
@@ -209,7 +246,7 @@ def _instances(server: ServerStatus) -> Table:
 def _failed(instance: InstanceStatus) -> str:
     """How the last instances of a service failed, and what the daemon does about that."""
     times = counted(instance.failures, "instance")
-    paused = f"; left alone for another {_duration(instance.paused_s)}" if instance.paused_s else ""
+    paused = f"; left alone for another {duration(instance.paused_s)}" if instance.paused_s else ""
     replaced = f"; {instance.replaced} replaced so far" if instance.replaced else ""
     return f"{instance.service}: {times} failed in a row, last: {instance.last_failure}{paused}{replaced}"
 
@@ -237,7 +274,7 @@ def _print_refusals(refusals: Sequence[RefusalStatus], console: Console) -> None
         table = _table("last", "times", "server", "who", "why", title="refused")
         for refusal in refusals:
             who = map(Text, (refusal.server, refusal.client, refusal.why))
-            table.add_row(f"{_duration(refusal.ago_s)} ago", str(refusal.times), *who)
+            table.add_row(f"{duration(refusal.ago_s)} ago", str(refusal.times), *who)
         console.print()
         show_table(table, console)
 
@@ -249,7 +286,7 @@ def _print_certificates(certificates: Sequence[CertificateStatus], console: Cons
         days = (certificate.expires - datetime.now(UTC)).days
         until = f"{certificate.expires:%Y-%m-%d}, {counted(days, 'day')}"
         line = f"certificate of {certificate.holder}: valid until {until}"
-        say(Text(line, style="bold red" if days < _SOON_DAYS else ""), console)
+        say(Text(line, style="bold red" if days < SOON_DAYS else ""), console)
 
 
 def _table(*columns: str, title: str | None = None) -> Table:
@@ -260,12 +297,3 @@ def _size(size_bytes: int) -> str:
     """In the larger of MiB and GiB that makes it at least 1, to three digits."""
     size, unit = (size_bytes / 2**30, "GiB") if size_bytes >= 2**30 else (size_bytes / 2**20, "MiB")
     return f"{size:.3g} {unit}" if size < 1000 else f"{size:.0f} {unit}"
-
-
-def _duration(seconds: float) -> str:
-    """Two units at most: 12 s, 3 min 4 s, 2 h 5 min, 6 d 7 h."""
-    whole = round(seconds)
-    for unit_s, unit, part_s, part in ((86400, "d", 3600, "h"), (3600, "h", 60, "min"), (60, "min", 1, "s")):
-        if whole >= unit_s:
-            return f"{whole // unit_s} {unit} {whole % unit_s // part_s} {part}"
-    return f"{whole} s"

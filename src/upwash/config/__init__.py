@@ -58,6 +58,7 @@ from upwash.config.flight_times import (
     told_pace,
     usable_s,
 )
+from upwash.config.inventory import ListedServer, read_inventory
 from upwash.config.measured import track_of
 from upwash.config.photo_ground import PhotoGround, photo_ground
 from upwash.config.places import (

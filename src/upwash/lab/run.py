@@ -388,13 +388,17 @@ def _radios(
     return networks, ModelDialer(config.name, switchboard, radio, life=journal.life, observe=observe)
 
 
+def renders_photos(config: DroneConfig) -> bool:
+    """Whether a simulation renders the photos, because the mission may look at them."""
+    return config.camera.park_seed is not None and not is_bundled(config.mission.program)
+
+
 def _camera(config: DroneConfig, chance: Chance) -> Camera:
-    """A camera that renders photos if the mission may look at them; simulations have no folders or devices."""
+    """The camera of a simulation, which has no folders or devices."""
     camera = config.camera
     if camera.park_seed is not None:
-        if is_bundled(config.mission.program):
-            return UnseenCamera(camera.park_seed, photo_s=camera.photo_s)
-        return RenderedCamera(camera.park_seed, photo_s=camera.photo_s, in_thread=False)
+        kind = functools.partial(RenderedCamera, in_thread=False) if renders_photos(config) else UnseenCamera
+        return kind(camera.park_seed, photo_s=camera.photo_s)
     in_flight = config.mission.photos is not None
     if config.event is not None and config.event.objects:
         errors = chance.stream("errors of photos")

@@ -26,6 +26,7 @@ _LENS = Lens(fov_deg=62.2, up_deg=0.0)  # of the photos of the solar park
 _PARK_PHOTO_BYTES = 430_000  # a usual rendered photo
 _JPEG = b"\xff\xd8\xff"
 _SAME_PLACE_M = 1.0
+_PLACE_DIGITS = 6  # after the point: a micrometre shows nothing new, and rendering takes 0.1 s
 _PHOTO_PX = 640, 480
 _OBJECT_M, _OFF_M, _LOWEST_M = 1.0, 1.0, 0.5
 
@@ -158,7 +159,10 @@ class RenderedCamera:
         return Photo(rendered.jpeg, captured_s, self._source, rendered.truth, _LENS)
 
     async def _rendered(self, at: Position) -> RenderedPhoto:
-        photo = (self._park_seed, at.east_m, at.north_m, at.altitude_m, next(self._shots))
+        east_m, north_m, altitude_m = (
+            round(metres, _PLACE_DIGITS) for metres in (at.east_m, at.north_m, at.altitude_m)
+        )
+        photo = (self._park_seed, east_m, north_m, altitude_m, next(self._shots))
         return await asyncio.to_thread(_rendered, *photo) if self._in_thread else _rendered_once(*photo)
 
 

@@ -139,3 +139,12 @@ def plural(noun: str) -> str:
     else:
         several = f"{last}s"
     return " ".join([*before, several])
+
+
+def duration(seconds: float) -> str:
+    """Two units at most: 12 s, 3 min 4 s, 2 h 5 min, 6 d 7 h."""
+    whole = round(seconds)
+    for unit_s, unit, part_s, part in ((86400, "d", 3600, "h"), (3600, "h", 60, "min"), (60, "min", 1, "s")):
+        if whole >= unit_s:
+            return f"{whole // unit_s} {unit} {whole % unit_s // part_s} {part}"
+    return f"{whole} s"
