@@ -110,7 +110,7 @@ def calls_of(events: Sequence[Event], *, within_s: float = 0.0) -> Iterator[Flow
         elif isinstance(event, schema.Seconded):
             seconded[event.waypoint] = event
         elif isinstance(event, schema.RemoteQueued):
-            queued[event.waypoint] = event
+            queued.setdefault(event.waypoint, event)  # a later one is of a server beside the drone
         elif isinstance(event, schema.Call):
             call = event.waypoint
             decided = tuple(decisions.pop(call, ()))
