@@ -219,7 +219,7 @@ class ObjectActs:
         tell: Callable[[T], object] | None,
         failed: Callable[[Exception], object] | None,
     ) -> ObjectAnswer[T]:
-        """What the mission does about the answer: by default every object is wanted, and nothing is told."""
+        """What the mission does about the answer: by default it wants every object, and tells nothing."""
         return ObjectAnswer(
             self._vehicle,
             self._calls,

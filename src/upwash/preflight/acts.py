@@ -12,12 +12,12 @@ from upwash.config import Document, DroneConfig, demand_map_of, waypoints
 from upwash.lab.campaigns.campaign import Fly
 from upwash.preflight.prediction import AS_CONFIGURED, LOCAL_ONLY, Prediction, changed, minutes, predict
 
-_ASSUMED = 0.75  # as of a survey whose rows overlap, so that most photos show something
+_ASSUMED = 0.75  # a survey whose rows overlap shows each object on several photos
 ACT_SEEDS = 5  # chance decides which answers demand an act, also where nothing else is left to chance
 
 
 class WithActs(Struct, frozen=True, kw_only=True):
-    """The mission if a `share` of answers demands an act, beside forecasts in which none does.
+    """Forecasts of the mission with acts; a `share` of the answers demands one.
 
     `source` says where the share is from: `policy.demand_map` or `assumed`.
     """

@@ -18,7 +18,7 @@ A server has one of three roles, or none. Each role takes one radio.
 
 Laws:
 - no more servers have a role than there are radios;
-- no more than four servers are selected within one second, whatever servers answer;
+- at most four servers are selected within one second, with any answers of servers;
 - a check, and a probe, is known by its number; an answer to an earlier number finds no server here;
 - without a spare radio a server is left before the next one is checked;
 - a server that failed and was probed is left, unless its sign of life has it checked: then its network stays joined.

@@ -31,7 +31,7 @@ _LAST_FRAME_S = 1.0
 _LEAST_BEHIND_S = 1.0
 _CATCHES_UP_S = 3.0  # with the frames that came while FFmpeg studied the stream
 _OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
-# Of named pipes and .sdp files: FFmpeg opens what such a file names only if allowed, and studies a stream for 5 s.
+# For named pipes and .sdp files: FFmpeg needs leave to open the stream that a file names, and studies it for 5 s.
 _FOR_PIPES = "rtsp_transport;tcp|protocol_whitelist;file,crypto,data,udp,rtp|analyzeduration;1000000"
 
 _log = logging.getLogger("upwash.camera")

@@ -131,7 +131,7 @@ def survey_of(records: Sequence[Record]) -> Survey:
 
 
 def _best_looks(sightings: Sequence[Look], again: Set[PhotoKey]) -> list[Look]:
-    """The surest sighting, and the surest of those `again`, from lower down; without one that of another photo."""
+    """The surest sighting, and the surest on a photo taken `again` from lower down, or else on another photo."""
     surest = sorted(sightings, key=lambda look: sureness(look.finding), reverse=True)
     seconds = [look for look in surest if look.photo in again]
     first = next((look for look in surest if look.photo not in again), surest[0] if surest else None)
