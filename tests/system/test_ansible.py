@@ -23,6 +23,7 @@ pytestmark = [
     pytest.mark.system,
     pytest.mark.root,
     pytest.mark.nightly,
+    pytest.mark.timeout(900),
     pytest.mark.skipif(os.geteuid() != 0, reason="needs root, for a namespace"),
     pytest.mark.skipif(shutil.which("ansible-playbook") is None, reason="ansible-playbook is not installed"),
 ]
