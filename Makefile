@@ -51,7 +51,7 @@ collect: $(READY)
 
 # What takes too long for each push: the benches, ns-3, and many more drawn worlds, some of them those of the day.
 nightly: $(READY) $(ROS_READY)
-	tests/system/install-packages
+	tests/system/install-packages ansible-core
 	$(PYTEST) -n 2 -m nightly
 
 # The ns-3 programs of `upwash emulate --radio ns3` and `upwash goodput`; nothing else needs them.

@@ -3,6 +3,7 @@
 # the configuration and the keys as they are.
 #
 #   sudo deploy/install.sh NAME KEYS [detector-gpu]
+#   sudo PYTHON=/usr/bin/python3.12 deploy/install.sh NAME KEYS    # default: python3; 3.11 or newer
 #
 # NAME is the server's, as in its certificate, and KEYS the folder of `upwash keys KEYS --server NAME ...`, made before on
 # a computer of your own: of it the server gets authority.pem, NAME.pem, NAME.key and revoked.txt. With detector-gpu the
@@ -15,6 +16,7 @@ source=$(dirname "$(dirname "$(readlink -f "$0")")")
 root=${DESTDIR:+$(readlink -m "$DESTDIR")}  # where a package is made of what this installs, for another machine
 home=$root/opt/upwash
 settings=$root/etc/upwash
+python=${PYTHON:-python3}
 unit=$root/etc/systemd/system/upwash.service
 card='devices = ["nvidia.com/gpu=all"]'
 
@@ -35,7 +37,11 @@ for file in authority.pem "$name.pem" "$name.key"; do
 done
 
 apt-get install --yes python3-venv bubblewrap
-[ -x "$home/bin/pip" ] || python3 -m venv "$home"
+[ -x "$home/bin/pip" ] && python=$home/bin/python
+echo "upwash gets $("$python" --version) of $(readlink -f "$(command -v "$python")")"
+"$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
+    fail "that is too old: name Python 3.11 or newer in PYTHON, and remove $home if it is there"
+[ -x "$home/bin/pip" ] || "$python" -m venv "$home"
 there=detector  # or, where onnxruntime-gpu is installed in place of onnxruntime, what keeps it
 ls -d "$home"/lib/python3*/site-packages/onnxruntime_gpu-*.dist-info >/dev/null 2>&1 && there=detector-gpu
 detector=${3:-$there}
@@ -49,6 +55,8 @@ fi
 
 user='useradd --system --home-dir /nonexistent --shell /usr/sbin/nologin upwash'
 [ -n "$root" ] || id upwash >/dev/null 2>&1 || $user
+[ -n "$root" ] || runuser --user upwash -- "$home/bin/upwash" --version >/dev/null ||
+    fail "the user upwash cannot run $home/bin/upwash: remove $home, and name in PYTHON one that every user can run"
 group=$(id -gn upwash 2>/dev/null || id -gn)
 install -d -m 750 -g "$group" "$settings" "$settings/keys"
 for file in authority.pem "$name.pem" "$name.key" revoked.txt; do

@@ -308,14 +308,15 @@ def test_the_drones_unit_starts_nothing_again_but_a_flight_that_never_began() ->
 STUBS = {
     "apt-get": 'echo "apt-get $*" >> "$TOLD"',
     "useradd": 'echo "useradd $*" >> "$TOLD"',
-    "python3": """case $2 in
+    "python3": """[ "$1" = -c ] && exit "$TOO_OLD"
+case $2 in
 venv) mkdir -p "$3/bin"; cp "$0" "$3/bin/pip"; cp "$0" "$3/bin/python" ;;
 pip) shift 2; echo "pip $*" >> "$TOLD"; echo "#!$0" > "$(dirname "$0")/upwash" ;;
 esac""",
 }
 
 
-def install(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+def install(folder: Path, *arguments: str, too_old: bool = False) -> subprocess.CompletedProcess[str]:
     """Runs the script below a folder, without a package manager, users, or a network."""
     stubs = folder / "stubs"
     stubs.mkdir(exist_ok=True)
@@ -325,7 +326,9 @@ def install(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     path = f"{stubs}:{os.environ['PATH']}"
     return subprocess.run(
         [ROOT / "deploy" / "install.sh", *arguments], cwd=folder, capture_output=True, text=True, timeout=60,
-        check=False, env={"PATH": path, "DESTDIR": str(folder / "root"), "TOLD": str(folder / "told")},
+        check=False, env={
+            "PATH": path, "DESTDIR": str(folder / "root"), "TOLD": str(folder / "told"), "TOO_OLD": f"{too_old:d}"
+        },
     )  # fmt: skip
 
 
@@ -397,6 +400,15 @@ def test_one_word_more_installs_what_a_graphics_card_needs_and_keeps_a_configura
     assert f'below its name in {file}: devices = ["nvidia.com/gpu=all"]' in done.stdout
 
     assert "the third word is detector or detector-gpu" in install(tmp_path, "s9", "keys", "cuda").stderr
+
+
+def test_a_python_that_is_too_old_is_named_and_gets_nothing(tmp_path: Path) -> None:
+    make_keys(tmp_path / "keys", servers=[["s9"]])
+    done = install(tmp_path, "s9", "keys", too_old=True)
+    assert done.returncode == 1
+    assert f"of {tmp_path}/stubs/python3" in done.stdout
+    assert "name Python 3.11 or newer in PYTHON" in done.stderr
+    assert not (tmp_path / "root").exists()
 
 
 def test_both_extras_of_the_detector_differ_in_the_library_alone() -> None:
