@@ -57,6 +57,6 @@ async def test_what_needs_a_restart_is_said_of_each_key(file: Path) -> None:
     running = file.with_name("running.toml")
     running.write_text(CONFIG.replace("7070", "7071").replace("[runtime]", "lease_s = 9\n[runtime]"))
     assert (await check(file, running))["without a restart"].split("; ") == [
-        "lease_s cannot change while the daemon runs: restart it",
+        "lease_s cannot change while the daemon runs: hand over to a new one by SIGUSR2, or restart it",
         "listen cannot change while the daemon runs: restart it",
     ]

@@ -328,4 +328,7 @@ def needs_restart(old: DaemonConfig, new: DaemonConfig) -> list[str]:
         problems.append("the services of containers are prepared at the start: restart it")
     names = sorted(set(old.__struct_fields__) - {"images", "identities", "keys"})
     changed = [name for name in names if getattr(old, name) != getattr(new, name)]
-    return [*problems, *(f"{name} cannot change while the daemon runs: restart it" for name in changed)]
+    for name in changed:
+        how = "restart it" if name == "listen" else "hand over to a new one by SIGUSR2, or restart it"
+        problems.append(f"{name} cannot change while the daemon runs: {how}")
+    return problems
