@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from contextlib import AsyncExitStack, ExitStack, asynccontextmanager, contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -130,6 +130,10 @@ class Daemon:
         """Returns when that is in its log, after the first so many characters."""
         wait_for(lambda: re.search(pattern, self.said()[since:]), seen=self.said)
 
+    def successors(self) -> list[int]:
+        """The processes that have taken its place."""
+        return [int(each) for each in re.findall(r"process (\d+) has taken this daemon's place", self.said())]
+
     def reload(self, text: str, awaited: str) -> None:
         """Has it read another configuration, or the same; returns when it has said that of it."""
         (self._folder / "server.toml").write_text(text)
@@ -146,18 +150,28 @@ class Daemon:
 def daemon(
     folder: Path, text: str, *options: str, names: str = "s1, s2", **settings: str
 ) -> Iterator[Daemon]:
-    """A daemon until the end of the block, by which it and all of its instances must have ended."""
-    with started(folder, text, *options, **settings) as process:
+    """A daemon until the end of the block, by which it, its successors and all instances must have ended."""
+    with started(folder, text, *options, **settings) as process, ExitStack() as stack:
         try:
             running = Daemon(process, names, folder)
+            stack.callback(lambda: [_kill(each) for each in running.successors()])
             yield running
             instances = running.instances()
+            for successor in filter(is_alive, running.successors()):
+                instances += children(successor)
+                os.kill(successor, signal.SIGTERM)
+                wait_for(lambda each=successor: not is_alive(each), seen=running.said)
             if process.poll() is None:
                 assert running.end() == 0
             assert not re.search("^Traceback", running.said(), re.MULTILINE)
             wait_for(lambda: not any(map(is_alive, instances)))
         finally:
             process.kill()
+
+
+def _kill(process_id: int) -> None:
+    with suppress(ProcessLookupError):
+        os.kill(process_id, signal.SIGKILL)
 
 
 def memory_bytes(process_id: int, what: str = "VmRSS") -> int:
