@@ -23,8 +23,9 @@ import yaml
 from prometheus_client.parser import text_string_to_metric_families
 from tests.children import gone
 from tests.programs import ROOT, upwash
-from tests.system.daemons import Daemon, config, daemon, eventually, guests, shown
+from tests.system.daemons import Daemon, config, daemon, guests, shown
 from tests.system.flying import Flying
+from tests.waiting import wait_for
 
 from upwash.errors import LinkError, Unreachable
 from upwash.real.trust.authority import make_keys, revoke
@@ -148,7 +149,8 @@ class Day:
 
     async def alerts_are(self, *expected: Alert) -> None:
         """Returns when these alerts fire, and no others."""
-        await eventually(lambda: asyncio.to_thread(self.firing), lambda alerts: alerts == set(expected))
+        wanted = set(expected)
+        await asyncio.to_thread(wait_for, lambda: self.firing() == wanted, seen=self.firing)
 
     async def everywhere(self, order: str) -> list[list[str]]:
         return await asyncio.gather(*(box.order(order) for box in self.boxes.values()))
