@@ -8,7 +8,7 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator
 from contextlib import AsyncExitStack, ExitStack, asynccontextmanager, contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -154,13 +154,12 @@ def daemon(
     with started(folder, text, *options, **settings) as process, ExitStack() as stack:
         try:
             running = Daemon(process, names, folder)
-            stack.callback(lambda: [_kill(each) for each in running.successors()])
+            stack.callback(lambda: _signal(running.successors(), signal.SIGKILL))
             yield running
-            instances = running.instances()
-            for successor in filter(is_alive, running.successors()):
-                instances += children(successor)
-                os.kill(successor, signal.SIGTERM)
-                wait_for(lambda each=successor: not is_alive(each), seen=running.said)
+            successors = running.successors()
+            instances = [each for parent in (process.pid, *successors) for each in children(parent)]
+            _signal(successors, signal.SIGTERM)
+            wait_for(lambda: not any(map(is_alive, successors)), seen=running.said)
             if process.poll() is None:
                 assert running.end() == 0
             assert not re.search("^Traceback", running.said(), re.MULTILINE)
@@ -169,9 +168,11 @@ def daemon(
             process.kill()
 
 
-def _kill(process_id: int) -> None:
-    with suppress(ProcessLookupError):
-        os.kill(process_id, signal.SIGKILL)
+def _signal(process_ids: Iterable[int], number: signal.Signals) -> None:
+    """Sends it to those that have not ended."""
+    for each in process_ids:
+        with suppress(ProcessLookupError):
+            os.kill(each, number)
 
 
 def memory_bytes(process_id: int, what: str = "VmRSS") -> int:

@@ -102,7 +102,9 @@ class Day:
         self.drones: dict[tuple[str, str], Flying] = {}
         self.flights: dict[tuple[str, str], asyncio.Task[None]] = {}
         self.inventory = keys.parent / "boxes.toml"
-        listed = (f'[[server]]\nname = "{name}"\naddress = "{box.at.address}"\n' for name, box in boxes.items())
+        listed = (
+            f'[[server]]\nname = "{name}"\naddress = "{box.at.address}"\n' for name, box in boxes.items()
+        )
         self.inventory.write_text("".join(listed))
 
     @asynccontextmanager
