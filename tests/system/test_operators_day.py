@@ -10,11 +10,10 @@ import shutil
 import signal
 import socket
 import subprocess
-import urllib.error
 import urllib.request
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
-from contextlib import ExitStack, asynccontextmanager, contextmanager
+from contextlib import AbstractContextManager, ExitStack, asynccontextmanager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +50,7 @@ RULES = {
 }
 Alert = tuple[str, str]  # its name, and the server that it is of; else the part
 Firing = Callable[[], set[Alert]]
+Watch = Callable[[Mapping[str, "Box"], Path], AbstractContextManager[Firing]]
 
 
 class Box:
@@ -258,7 +258,7 @@ WITHOUT_PROMETHEUS = pytest.mark.skipif(
 
 @pytest.mark.parametrize("watch", [offered, pytest.param(prometheus, marks=WITHOUT_PROMETHEUS)])
 async def test_an_operators_day_at_three_servers_costs_no_call_of_a_drone_that_may_call(
-    tmp_path: Path, watch: Any
+    tmp_path: Path, watch: Watch
 ) -> None:
     keys = tmp_path / "keys"
     make_keys(keys, servers=[[name] for name in NAMES], drones=DRONES, operators=["alice"])
