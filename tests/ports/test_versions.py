@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -77,6 +78,24 @@ def test_what_it_does_not_read_is_no_other_version(folder: Path, change: Callabl
     before = version(folder)
     change(folder)
     assert version(folder) == before
+
+
+def test_the_same_files_are_the_same_version_on_another_machine_in_another_folder(
+    folder: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    elsewhere = shutil.copytree(folder, tmp_path_factory.mktemp("elsewhere") / "services")
+    assert version(elsewhere) == version(folder)
+
+
+def test_files_that_change_places_are_another_version(folder: Path) -> None:
+    (folder / "model/w.bin").write_text("2")
+    models = [folder / "model/w.bin", folder / "data/x.bin"]
+    program = Program("no.such:Module", {str(number): str(model) for number, model in enumerate(models)})
+    before = version_of(program)
+    first, second = (model.read_text() for model in models)
+    models[0].write_text(second)
+    models[1].write_text(first)
+    assert version_of(program) != before
 
 
 def test_of_files_beyond_what_is_read_the_size_and_the_time_of_their_change_count(

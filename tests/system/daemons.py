@@ -8,8 +8,8 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator
+from contextlib import AsyncExitStack, ExitStack, asynccontextmanager, contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -130,6 +130,10 @@ class Daemon:
         """Returns when that is in its log, after the first so many characters."""
         wait_for(lambda: re.search(pattern, self.said()[since:]), seen=self.said)
 
+    def successors(self) -> list[int]:
+        """The processes that have taken its place."""
+        return [int(each) for each in re.findall(r"process (\d+) has taken this daemon's place", self.said())]
+
     def reload(self, text: str, awaited: str) -> None:
         """Has it read another configuration, or the same; returns when it has said that of it."""
         (self._folder / "server.toml").write_text(text)
@@ -146,18 +150,29 @@ class Daemon:
 def daemon(
     folder: Path, text: str, *options: str, names: str = "s1, s2", **settings: str
 ) -> Iterator[Daemon]:
-    """A daemon until the end of the block, by which it and all of its instances must have ended."""
-    with started(folder, text, *options, **settings) as process:
+    """A daemon until the end of the block, by which it, its successors and all instances must have ended."""
+    with started(folder, text, *options, **settings) as process, ExitStack() as stack:
         try:
             running = Daemon(process, names, folder)
+            stack.callback(lambda: _signal(running.successors(), signal.SIGKILL))
             yield running
-            instances = running.instances()
+            successors = running.successors()
+            instances = [each for parent in (process.pid, *successors) for each in children(parent)]
+            _signal(successors, signal.SIGTERM)
+            wait_for(lambda: not any(map(is_alive, successors)), seen=running.said)
             if process.poll() is None:
                 assert running.end() == 0
             assert not re.search("^Traceback", running.said(), re.MULTILINE)
             wait_for(lambda: not any(map(is_alive, instances)))
         finally:
             process.kill()
+
+
+def _signal(process_ids: Iterable[int], number: signal.Signals) -> None:
+    """Sends it to those that have not ended."""
+    for each in process_ids:
+        with suppress(ProcessLookupError):
+            os.kill(each, number)
 
 
 def memory_bytes(process_id: int, what: str = "VmRSS") -> int:

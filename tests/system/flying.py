@@ -15,18 +15,29 @@ from upwash.rpc.service import load_service, spec_of
 
 
 class Flying:
-    """A drone that calls a service of s1 all the time, as its own session has it; no call may fail.
+    """A drone that calls a service of a server all the time, as its own session has it; no call may fail.
 
     `program` is the path of the service's class, whose `method` takes nothing and returns a number.
     """
 
-    def __init__(self, name: str, address: str, keys: Path, program: str, method: str = "process_id") -> None:
+    def __init__(
+        self,
+        name: str,
+        address: str,
+        keys: Path,
+        program: str,
+        method: str = "process_id",
+        *,
+        server: str = "s1",
+        pause_s: float = 0.02,
+    ) -> None:
         self.answered: list[int] = []  # what was answered, one after the other
+        self._pause_s = pause_s  # between an answer and the next call
         self._called = asyncio.Event()  # is set, and replaced, at each answer
         spec = spec_of(load_service(program))
         self._service, self._method = spec.name, spec.methods[method]
         self._session = ServerSession(
-            ServerEndpoint(name="s1", network="", address=address, services=(spec.name,)),
+            ServerEndpoint(name=server, network="", address=address, services=(spec.name,)),
             network=NoNetwork(),
             dialer=GrpcDialer(name, shown(keys, name), max_message_bytes=MAX_MESSAGE_BYTES),
         )
@@ -61,7 +72,7 @@ class Flying:
                 self.answered.append(int(str(self._method.result(self._method.decode(reply)))))
                 self._called.set()
                 self._called = asyncio.Event()
-                await asyncio.sleep(0.02)
+                await asyncio.sleep(self._pause_s)
             assert not keeping.done(), keeping.exception()
         finally:
             keeping.cancel()

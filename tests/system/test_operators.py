@@ -77,9 +77,11 @@ class Machine:
             case ["systemctl", "kill"]:
                 return self.change()
         here = self._here(command.replace(" -g upwash", "")).replace("127.0.0.1:7070", self.address)
+        path = f"{self.folder}/opt/upwash/bin:{os.environ['PATH']}"
         done = subprocess.run(
-            here, shell=True, cwd=self.folder, capture_output=True, text=True, timeout=60, check=False
-        )
+            here, shell=True, cwd=self.folder, capture_output=True, text=True, timeout=60, check=False,
+            env={**os.environ, "PATH": path},
+        )  # fmt: skip
         assert done.returncode == 0, f"{command}: {done.stderr}"
         return done.stdout
 
@@ -172,6 +174,9 @@ class Day:
             settings.write_text(settings.read_text() + "slots = 4\n")
         elif command.startswith("install -m 644 my_services.py"):
             (self.machine.folder / "my_services.py").write_text(SERVICE.format(version=2))
+        elif "--inventory" in command:
+            listed = f'[[server]]\nname = "s1"\naddress = "{self.machine.address}"\n'
+            (self.machine.folder / "boxes.toml").write_text(listed)
         elif command.startswith("tar -x"):
             shutil.rmtree(self.etc)
 
@@ -180,6 +185,8 @@ class Day:
         if command.startswith("install -d -m 750"):
             (self.etc / "my_services.py").write_text(SERVICE.format(version=1))
             (self.etc / "server.toml").write_text(settings_of_the_page())
+        elif "--inventory" in command:
+            assert "well: 1 of 1" in printed
         elif " status " in command:
             used = r"2 of 4" if self.drones else r"0 of \d+"
             assert re.search(rf"^s1: {used} slots in use$", printed, re.MULTILINE)
@@ -232,7 +239,7 @@ class Day:
         return False
 
     async def status(self) -> str:
-        (command,) = {each for _, commands in sections() for each in commands if " status " in each}
+        (command,) = {each for _, commands in sections() for each in commands if " status 127" in each}
         printed: str = await asyncio.to_thread(self.machine.run, command)
         return printed
 

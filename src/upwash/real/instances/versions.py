@@ -20,7 +20,7 @@ def version_of(program: Program, readable: Iterable[Path] = ()) -> str:
     """A fingerprint of the program's code, of the files that its settings and its command name, and of `readable`.
 
     It includes the `*.py` files and packages beside a `path/to/file.py`, but neither upwash nor libraries. At most
-    4096 files of each folder are included, and 256 MiB are read in all.
+    4096 files of each folder are included, and 256 MiB are read in all. The folder that all lie in does not count.
     """
     code = [place for place in code_of(program.path) if not place.is_relative_to(_UPWASH)]
     if program.path.rpartition(":")[0].endswith(".py"):
@@ -43,7 +43,7 @@ def _fingerprint(places: Iterable[Path]) -> str:
     found, left = hashlib.sha256(), _MOST_READ_BYTES
     for place in sorted(set(places)):
         for file in islice(_files(place), _MOST_FILES):
-            found.update(f"\0{file}\0".encode(errors="surrogateescape"))
+            found.update(f"\0{file.relative_to(place.parent)}\0".encode(errors="surrogateescape"))
             content, read = _content(file, left)
             found.update(content)
             left -= read
