@@ -46,9 +46,11 @@ settings.load_profile("untimed")
 
 
 def pytest_configure() -> None:
-    """Has the tests, and what they start, hear of Ctrl-C, which a shell keeps from what it runs in the background."""
+    """Has the tests, and what they start, hear of the terminal's signals, which a shell keeps from its background."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGQUIT) is signal.SIG_IGN:
+        signal.signal(signal.SIGQUIT, signal.SIG_DFL)
     gc.disable()
 
 

@@ -75,12 +75,12 @@ def test_a_folder_without_metadata_is_read_by_its_one_file(bag: Path) -> None:
     (bag / "metadata.yaml").unlink()
     BagCamera(bag, None, photo_s=0.0, lens=None)
     (bag / "second.db3").touch()
-    with pytest.raises(UsageError, match=r"not one \.mcap or \.db3 file"):
+    with pytest.raises(UsageError, match="more than one file"):
         BagCamera(bag, None, photo_s=0.0, lens=None)
 
 
 def test_a_bag_that_is_none_or_lacks_the_topic_is_named(bag: Path, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="cannot be read as a ROS 2 bag"):
+    with pytest.raises(UsageError, match="photos is no ROS 2 bag"):
         BagCamera(tmp_path / "photos", None, photo_s=0.0, lens=None)
     with pytest.raises(UsageError, match="has images of /camera/image/compressed: name one"):
         BagCamera(bag, "/other", photo_s=0.0, lens=None)

@@ -94,10 +94,12 @@ def _bag_file(bag: Path) -> Path:
     if not bag.is_dir() or (bag / "metadata.yaml").exists():
         return bag
     files = [file for file in sorted(bag.iterdir()) if file.suffix in _FILES]
-    if len(files) != 1:
-        names = ", ".join(file.name for file in files) or "none"
+    if not files:
+        raise UsageError(f"camera.bag: {bag} is no ROS 2 bag: it has neither metadata.yaml nor a bag's file")
+    if len(files) > 1:
+        names = ", ".join(file.name for file in files)
         raise UsageError(
-            f"camera.bag: {bag} has no metadata.yaml, and not one {' or '.join(_FILES)} file ({names}): name one of "
+            f"camera.bag: {bag} has no metadata.yaml, and more than one file ({names}): name one of "
             "its files, or have `ros2 bag reindex` write metadata.yaml"
         )
     return files[0]
