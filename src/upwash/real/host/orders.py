@@ -16,15 +16,18 @@ import socket
 import struct
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
 from upwash.errors import UpwashError, UsageError
+from upwash.support.background import end
 
 _log = logging.getLogger("upwash.serving")
 _CREDENTIALS = struct.Struct("3i")  # of a process: its number, user and group
 _LONGEST_ORDER_BYTES = 256
 _ORDER_S = 5.0
+_TURNS = 10
 _MOST_AT_ONCE = 8
 _ROOT = 0
 
@@ -43,8 +46,21 @@ async def taking_orders(obey: Obey) -> AsyncIterator[None]:
     """Have `obey(order, by)` answer orders until the end of the block; a failure to listen is logged."""
     room = asyncio.Semaphore(_MOST_AT_ONCE)
 
+    conversations = set[asyncio.Task[Any]]()
+
     async def converse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        with contextlib.closing(writer), contextlib.suppress(OSError, TimeoutError, ValueError):
+        if (own := asyncio.current_task()) is not None:
+            conversations.add(own)
+            own.add_done_callback(conversations.discard)
+        try:
+            await talk(reader, writer)
+        finally:
+            writer.close()
+            with contextlib.suppress(OSError):
+                await writer.wait_closed()
+
+    async def talk(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with contextlib.suppress(OSError, TimeoutError, ValueError):
             process, user = _who(writer.get_extra_info("socket"))
             if user not in (os.geteuid(), _ROOT):
                 _log.warning("process %d of user %s may give no orders", process, _name(user))
@@ -68,6 +84,9 @@ async def taking_orders(obey: Obey) -> AsyncIterator[None]:
         yield
     finally:
         server.close()
+        for _ in range(_TURNS):  # until asyncio has taken up the last connections
+            await asyncio.sleep(0)
+        await end(*conversations)
 
 
 def give_order(process: int, order: str) -> Obeyed:
