@@ -8,8 +8,8 @@ import os
 import pytest
 
 from upwash.errors import UpwashError, UsageError
-from upwash.real.host import orders
-from upwash.real.host.orders import Obeyed, give_order, taking_orders
+from upwash.real.link import orders
+from upwash.real.link.orders import Obeyed, give_order, taking_orders
 
 STRANGER = 12345  # a user
 
@@ -29,6 +29,19 @@ async def test_an_order_is_obeyed_with_the_name_of_who_gave_it_and_answered() ->
     assert by.startswith(f"process {os.getpid()} of user ")
     with pytest.raises(UsageError, match="takes no orders"):
         await asyncio.to_thread(give_order, os.getpid(), "reload")
+
+
+async def test_a_process_that_answers_in_the_place_of_another_is_not_believed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def obey(_order: str, _by: str) -> Obeyed:
+        return Obeyed({}, "")
+
+    async with taking_orders(obey):
+        there = orders._address(os.getpid())
+        monkeypatch.setattr(orders, "_address", lambda _: there)
+        with pytest.raises(UsageError, match="another process answers in the place of process 1"):
+            await asyncio.to_thread(give_order, 1, "reload")
 
 
 async def test_another_user_is_not_obeyed(monkeypatch: pytest.MonkeyPatch) -> None:

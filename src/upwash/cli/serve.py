@@ -15,9 +15,9 @@ from upwash.launch.daemon import keep_heaps_few, serve
 from upwash.launch.daemon_check import check
 from upwash.real.host.first_process import leave_first_process
 from upwash.real.host.log import log_json, log_text
-from upwash.real.host.orders import give_order
 from upwash.real.host.service_manager import ServiceManager
 from upwash.real.link.hand_over import handed_over
+from upwash.real.link.orders import give_order
 
 _MOST_PROCESS = 2**22  # of Linux
 

@@ -25,7 +25,6 @@ from upwash.launch.daemon_services import DaemonServices, Services
 from upwash.launch.in_force import CONFIGURATION, KEYS, REVOCATIONS, InForce
 from upwash.ports import InstanceSpec, Runtime
 from upwash.real.host.log import RateLimitedLog
-from upwash.real.host.orders import Obeyed, taking_orders
 from upwash.real.host.scratch import socket_folder
 from upwash.real.host.service_manager import ServiceManager
 from upwash.real.host.signals import ending_in_time, on_signal, stopping_politely
@@ -34,6 +33,7 @@ from upwash.real.link.door import Door, OnTraffic, leading, opened_door
 from upwash.real.link.hand_over import HandedOver
 from upwash.real.link.limits import DoorLimits
 from upwash.real.link.listener import HealthCheck, Listener, cannot_listen
+from upwash.real.link.orders import Obeyed, taking_orders
 from upwash.real.link.proxy import GrpcSocket
 from upwash.real.link.requests import Caller, Requests
 from upwash.real.link.streams import listening_socket

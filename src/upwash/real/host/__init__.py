@@ -8,7 +8,6 @@ number of lines of each kind, each on one line. The second signal ends what the 
 - log.py               a program's log on standard error
 - clock.py             the computer's clock, set by GPS
 - signals.py           SIGINT, SIGTERM, SIGHUP
-- orders.py            what an operator of the same machine orders
 - scratch.py           a folder for sockets, and what killed programs left
 - service_manager.py   sd_notify(3)
 

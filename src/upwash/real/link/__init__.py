@@ -14,6 +14,7 @@ never hold it.
 - proxy.py            passes connections from a door into an instance, with the caller's name
 - streams.py          connections of bytes, and sockets that listen
 - hand_over.py        gives the listening socket to the next daemon
+- orders.py           what an operator of the same machine orders
 
 Ugly: gRPC for Python does not show the peer's certificate or the end of a handshake, and does not end a request
 whose peer reads nothing. So TLS ends in the door, callers are known by the address of a unix socket, and the link

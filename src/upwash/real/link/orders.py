@@ -2,13 +2,14 @@
 
 The daemon listens at a socket of Linux's abstract namespace, which ends with its process and is no file. An order is
 a line, the answer a JSON object. Both ends ask the kernel who the other is: the daemon obeys its own user and root,
-and the operator believes no process but the one that was named.
+and the operator takes an answer from the named process alone.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import logging
 import os
 import pwd
@@ -16,18 +17,19 @@ import socket
 import struct
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import NoReturn
 
 import msgspec
 
 from upwash.errors import UpwashError, UsageError
-from upwash.support.background import end
+from upwash.real.link.streams import readable
+from upwash.support.background import beside, end, only_logged, start
 
 _log = logging.getLogger("upwash.serving")
 _CREDENTIALS = struct.Struct("3i")  # of a process: its number, user and group
 _LONGEST_ORDER_BYTES = 256
 _ORDER_S = 5.0
-_TURNS = 10
+_AGAIN_S = 0.1
 _MOST_AT_ONCE = 8
 _ROOT = 0
 
@@ -44,49 +46,66 @@ class Obeyed(msgspec.Struct, frozen=True):
 @contextlib.asynccontextmanager
 async def taking_orders(obey: Obey) -> AsyncIterator[None]:
     """Have `obey(order, by)` answer orders until the end of the block; a failure to listen is logged."""
-    room = asyncio.Semaphore(_MOST_AT_ONCE)
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.setblocking(False)
+        try:
+            listening.bind(_address(os.getpid()))
+            listening.listen()
+        except OSError as error:
+            _log.warning("no orders are taken but signals, as no socket can be made: %s", error)
+            yield
+            return
+        async with beside(_take(listening, obey), name="orders of operators"):
+            yield
 
-    conversations = set[asyncio.Task[Any]]()
 
-    async def converse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        if (own := asyncio.current_task()) is not None:
+async def _take(listening: socket.socket, obey: Obey) -> NoReturn:
+    room, conversations = asyncio.Semaphore(_MOST_AT_ONCE), set[asyncio.Task[None]]()
+    try:
+        while True:
+            await readable(listening)
+            try:
+                connection, _ = listening.accept()
+            except OSError:  # the operator hung up before, or no file is left to open
+                await asyncio.sleep(_AGAIN_S)
+                continue
+            connection.setblocking(False)
+            own = start(_converse(connection, obey, room), name="an order", failed=only_logged)
             conversations.add(own)
             own.add_done_callback(conversations.discard)
-        try:
-            await talk(reader, writer)
-        finally:
-            writer.close()
-            with contextlib.suppress(OSError):
-                await writer.wait_closed()
-
-    async def talk(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        with contextlib.suppress(OSError, TimeoutError, ValueError):
-            process, user = _who(writer.get_extra_info("socket"))
-            if user not in (os.geteuid(), _ROOT):
-                _log.warning("process %d of user %s may give no orders", process, _name(user))
-                return
-            async with room:
-                async with asyncio.timeout(_ORDER_S):
-                    order = await reader.readline()
-                obeyed = await obey(order.decode().strip(), f"process {process} of user {_name(user)}")
-            writer.write(msgspec.json.encode(obeyed))
-            await writer.drain()
-
-    try:
-        server = await asyncio.start_unix_server(
-            converse, path=_address(os.getpid()), limit=_LONGEST_ORDER_BYTES
-        )
-    except OSError as error:
-        _log.warning("no orders are taken but signals, as no socket can be made: %s", error)
-        yield
-        return
-    try:
-        yield
+            own.add_done_callback(functools.partial(_close, connection))
     finally:
-        server.close()
-        for _ in range(_TURNS):  # until asyncio has taken up the last connections
-            await asyncio.sleep(0)
         await end(*conversations)
+
+
+def _close(connection: socket.socket, _: object) -> None:
+    connection.close()
+
+
+async def _converse(connection: socket.socket, obey: Obey, room: asyncio.Semaphore) -> None:
+    with contextlib.suppress(OSError, TimeoutError, ValueError):
+        process, user = _who(connection)
+        if user not in (os.geteuid(), _ROOT):
+            _log.warning("process %d of user %s may give no orders", process, _name(user))
+            return
+        async with room:
+            async with asyncio.timeout(_ORDER_S):
+                order = await _line(connection)
+            obeyed = await obey(order, f"process {process} of user {_name(user)}")
+        await asyncio.get_running_loop().sock_sendall(connection, msgspec.json.encode(obeyed))
+
+
+async def _line(connection: socket.socket) -> str:
+    """The line that the other end sends; ValueError for one that is too long."""
+    line = b""
+    while not line.endswith(b"\n"):
+        if len(line) > _LONGEST_ORDER_BYTES:
+            raise ValueError("the order is too long")
+        more = await asyncio.get_running_loop().sock_recv(connection, _LONGEST_ORDER_BYTES)
+        if not more:
+            break
+        line += more
+    return line.decode().strip()
 
 
 def give_order(process: int, order: str) -> Obeyed:
@@ -117,7 +136,7 @@ def give_order(process: int, order: str) -> Obeyed:
 
 
 def _address(process: int) -> str:
-    numbering = 0  # of processes, of which a machine may have several beside one another
+    numbering = 0  # a machine may have several number spaces of processes
     with contextlib.suppress(OSError):
         numbering = Path("/proc/self/ns/pid").stat().st_ino
     return f"\0upwash-serve-{numbering}-{process}"
