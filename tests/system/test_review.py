@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 from tests.events import line
@@ -15,7 +16,7 @@ from tests.system.browser import NEEDED, Browser, view_of
 from upwash.cli.main import main
 from upwash.report.record import read_records, reviewed_of
 from upwash.report.reviewed import ReviewedFindings
-from upwash.report.reviews import review_file
+from upwash.report.reviews import append_review, review_file
 
 pytestmark = NEEDED
 
@@ -132,7 +133,12 @@ def test_what_comes_while_a_person_reviews_takes_nothing_out_of_their_hand(
     press(page, "note", Keys.ENTER)
     page.wait_until(lambda: [each.note for each in kept(log).everything] == ["", "", "", "half a note", ""])
     assert page.text(".review .target").startswith("4 ")
+    (review,) = kept(log).everything[3].reviews
+    append_review(log, replace(review, note="another hand"))
+    page.wait_until(lambda: "another hand" in page.text(".finds"))  # so the program has read the file
     review_file(log).unlink()
+    page.wait_until(lambda: "half a note" not in page.text(".finds"))
+    page.wait_until(lambda: "another hand" not in page.text(".finds"))
     review_file(log).mkdir()
     press(page, "r")
     page.wait_until(lambda: "the review was not kept" in page.text(".said"))
