@@ -201,9 +201,13 @@ def idle_callers(at: Target) -> Iterator[None]:
 
 @contextlib.contextmanager
 def readers_of_nothing(at: Target) -> Iterator[None]:
-    """As many connections as one drone may have, each of which asks for much and reads none of it."""
+    """As many connections as one drone may have, each of which asks for much and reads none of it.
+
+    The honest drone has two of them, to the daemon and to the instance. One more would replace the older of the two,
+    in the midst of a call where the door takes the new one up late.
+    """
     with contextlib.ExitStack() as stack:
-        for _ in range(CALLERS // len(FLOCK)):
+        for _ in range(CALLERS // len(FLOCK) - 2):
             connection = stack.enter_context(at.spoken_to("heron", instance=True))
             connection.settimeout(1.0)
             with contextlib.suppress(OSError):
