@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from upwash.launch.daemon_check import check
+from upwash.launch.daemon_reload import ConfigFile
 from upwash.real.trust.authority import make_keys, revoke
 
 CONFIG = """
@@ -60,3 +64,14 @@ async def test_what_needs_a_restart_is_said_of_each_key(file: Path) -> None:
         "lease_s cannot change while the daemon runs: hand over to a new one by SIGUSR2, or restart it",
         "listen cannot change while the daemon runs: restart it",
     ]
+
+
+def test_a_configuration_that_comes_through_a_pipe_is_read_once(file: Path) -> None:
+    pipe = file.with_name("pipe")
+    os.mkfifo(pipe)
+    with ThreadPoolExecutor() as writing:
+        written = writing.submit(pipe.write_text, CONFIG)
+        config, digest = ConfigFile(pipe).read()
+        written.result()
+    assert config.listen == "127.0.0.1:7070"
+    assert digest == hashlib.sha256(CONFIG.encode()).hexdigest()

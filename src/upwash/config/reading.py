@@ -17,18 +17,23 @@ from upwash.config.demand_map import DemandFile
 from upwash.config.problems import Problem, impossible_values
 from upwash.config.values import PlanFile, SettingsTable
 from upwash.errors import ConfigError
-from upwash.support.input_files import read_named_text, read_toml
+from upwash.support.input_files import named_text, read_named_file, read_toml
 from upwash.support.spared import require_unnamed
 
 T = TypeVar("T")
 Document = dict[str, Any]
 
-_MOST_BYTES = 1_000_000  # some 40,000 waypoints
+MOST_BYTES = 1_000_000  # some 40,000 waypoints
 
 
 def read_document(file: Path) -> Document:
     """The file's tables as plain values; numbers are finite, except of an endless turn, and fit 64 bits."""
-    text = read_named_text(file, most_bytes=_MOST_BYTES)
+    return document_of(read_named_file(file, most_bytes=MOST_BYTES), file)
+
+
+def document_of(content: bytes, file: Path) -> Document:
+    """The same of the content of the file."""
+    text = named_text(content, file)
     try:
         document = read_toml(text)
     except ValueError as error:

@@ -20,7 +20,9 @@ from typing import Any, NoReturn, Protocol, TypeVar
 
 from msgspec.structs import replace
 
-from upwash.config import DaemonConfig, DaemonKeysConfig, read_daemon_config
+from upwash.config import DaemonConfig, DaemonKeysConfig
+from upwash.config.daemon import daemon_config
+from upwash.config.reading import MOST_BYTES, document_of
 from upwash.core.admission.server import ServerOffer
 from upwash.core.admission.watchdog import CALL_LIMIT_S
 from upwash.errors import UpwashError, UsageError
@@ -33,6 +35,7 @@ from upwash.real.trust.credentials import Credentials
 from upwash.server.daemon import EdgeServer
 from upwash.server.instances import Image
 from upwash.support.background import begin, end, in_thread
+from upwash.support.input_files import read_named_file
 
 _log = logging.getLogger("upwash.serving")
 T = TypeVar("T")
@@ -57,8 +60,9 @@ class ConfigFile:
 
     def read(self) -> tuple[DaemonConfig, str]:
         """The configuration, and the SHA-256 of the file; raises ConfigError."""
-        config = read_daemon_config(self.path)
-        return config, hashlib.sha256(self.path.read_bytes()).hexdigest()
+        content = read_named_file(self.path, most_bytes=MOST_BYTES)  # once, as it may be a pipe
+        config = daemon_config(document_of(content, self.path), self.path)
+        return config, hashlib.sha256(content).hexdigest()
 
 
 class Reloads:

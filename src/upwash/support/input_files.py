@@ -46,7 +46,11 @@ def read_file(file: Path, *, most_bytes: int) -> bytes:
 
 def read_named_text(file: Path, *, most_bytes: int) -> str:
     """The text of a file or of a pipe; raises ConfigError, which says what to do."""
-    content = read_named_file(file, most_bytes=most_bytes)
+    return named_text(read_named_file(file, most_bytes=most_bytes), file)
+
+
+def named_text(content: bytes, file: Path) -> str:
+    """The text in the content of the file; raises ConfigError, which says what to do."""
     try:
         return text_of(content)
     except UnicodeDecodeError as error:
