@@ -75,6 +75,7 @@ class FlightObjects:
 
     def __init__(self, acted_on: Sequence[FoundRecord] = (), *, last: int = 0) -> None:
         self._catalogue = Catalogue()
+        self._is_joined = True  # no entries of the catalogue can be joined any more
         self._findings: dict[Key, Finding] = {}
         self._claimed = set[Key]()
         self._keys = itertools.count()
@@ -105,7 +106,7 @@ class FlightObjects:
         """Claim each object of these findings that is wanted and not claimed; without places one of them at most."""
         placed = [finding for finding in findings if finding.place and not self._is_claimed(finding.key)]
         if placed:
-            self._catalogue.join()
+            self._join_entries()
         for finding in placed:
             if not self._is_claimed(finding.key) and wanted(self.found(finding.key)):
                 yield self._claim(finding)
@@ -116,7 +117,7 @@ class FlightObjects:
     def is_alone(self, claim: Claim) -> bool:
         """Whether no other claim is of the same object, as far as is known by now."""
         if self._findings[claim.key].place is not None:
-            self._catalogue.join()
+            self._join_entries()
         return not self._is_claimed(claim.key, but=claim.key)
 
     def release_if_joined(self, claim: Claim) -> None:
@@ -164,6 +165,11 @@ class FlightObjects:
         self._findings |= {finding.key: finding for finding in findings}
         sightings = [Sighting(each.key, each.outline.label, each.place) for each in findings if each.place]
         self._catalogue.take(photo, sightings, corners)
+        self._is_joined = False
+
+    def _join_entries(self) -> None:
+        if not self._is_joined:
+            self._is_joined = not self._catalogue.join()
 
     def _is_claimed(self, key: Key, *, but: Key | None = None) -> bool:
         if self._findings[key].place is None:
