@@ -27,6 +27,7 @@ from upwash.core.admission.clients import (
 )
 from upwash.core.admission.limits import Limits
 from upwash.errors import UsageError
+from upwash.launch.in_force import clock_state
 from upwash.launch.status import ask_each, ask_status
 from upwash.real.trust.credentials import at_second
 from upwash.rpc.protocol import CertificateStatus, DaemonStatus, ReloadStatus, StatusReply
@@ -122,12 +123,11 @@ def print_status(status: StatusReply, console: Console) -> None:
 def _print_daemon(daemon: DaemonStatus, console: Console) -> None:
     """Print which program runs, what is in force since when, and what the last reload refused."""
     commit = f" (commit {daemon.commit[:DIGITS]})" if daemon.commit else ""
-    clock = {True: "kept in time", False: "not kept in time", None: "perhaps kept in time"}
     say(
         Text(f"upwash {daemon.version}{commit}, code {daemon.code[:DIGITS]}, sandbox {daemon.sandbox}"),
         console,
     )
-    say(f"its clock says {at_second(daemon.time)}, and is {clock[daemon.clock_is_kept]}", console)
+    say(f"its clock says {at_second(daemon.time)}, and {clock_state(daemon)}", console)
     table = _table("in force", "hash", "since", "")
     for part, status in daemon.parts.items():
         revoked = counted(daemon.revoked, "certificate") if part == "revocations" else ""

@@ -53,22 +53,21 @@ class Apart:
     def ask(self, question: bytes, *, within_s: float) -> bytes:
         """The answer; raises NoAnswer and Crashed, and the process is gone then."""
         until_s = time.monotonic() + within_s
-        try:
-            self._line.settimeout(within_s)
-            self._line.sendall(len(question).to_bytes(_LENGTH_BYTES, "big") + question)
-            length = int.from_bytes(self._read(_LENGTH_BYTES, until_s), "big")
-            if length > _LONGEST_ANSWER_BYTES:
-                raise Crashed(f"answered with {length} bytes")
-            return self._read(length, until_s)
-        except TimeoutError:
-            raise NoAnswer from None
-        except (OSError, EOFError):
-            raise Crashed(f"ended its process{self._how()}") from None
-        except Crashed:
-            raise
-        finally:
-            if sys.exc_info()[0] is not None:
-                self.end()
+        with contextlib.ExitStack() as failing:
+            failing.callback(self.end)
+            try:
+                self._line.settimeout(within_s)
+                self._line.sendall(len(question).to_bytes(_LENGTH_BYTES, "big") + question)
+                length = int.from_bytes(self._read(_LENGTH_BYTES, until_s), "big")
+                if length > _LONGEST_ANSWER_BYTES:
+                    raise Crashed(f"answered with {length} bytes")
+                answer = self._read(length, until_s)
+            except TimeoutError:
+                raise NoAnswer from None
+            except (OSError, EOFError):
+                raise Crashed(f"ended its process{self._how()}") from None
+            failing.pop_all()
+            return answer
 
     def end(self) -> None:
         """Kill the process; returns when it is gone."""
