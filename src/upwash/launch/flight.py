@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from msgspec.structs import replace
 
@@ -22,6 +22,7 @@ from upwash.core.camera.georeference import Ground, level_ground
 from upwash.core.geo import Position
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.home import above_home
+from upwash.drone.objects import FlightObjects
 from upwash.drone.resumption import objects_acted_on, order_begun, ordered_down, waypoints_done
 from upwash.drone.speed import with_speed
 from upwash.errors import AutopilotError, NotWritten
@@ -38,7 +39,7 @@ from upwash.launch.drone import (
 from upwash.launch.readiness import require_ready
 from upwash.launch.watchdog import watched
 from upwash.missions.bundled import load_mission, load_services, load_specs
-from upwash.ports import Autopilot, Camera, Journal
+from upwash.ports import Autopilot, Camera, ComingDown, Journal
 from upwash.real.camera.terrain import Terrain
 from upwash.real.host.clock import (
     SYSTEM_CLOCK,
@@ -90,8 +91,7 @@ async def fly(
     mission = load_mission(config.mission.program, mode=config.mission.mode)
     services = load_services(config.services)
     config, speed_why = with_speed(config, load_specs(config.services))
-    done = waypoints_done(read_events(log), config) if resumes else None
-    ordered = ordered_down(read_events(log)) if resumes else None
+    earlier = _earlier(log, config) if resumes else _Earlier()
     credentials = drone_credentials(config, valid_now=False)  # before the clock is known to be right
     async with contextlib.AsyncExitStack() as stack:
         watchers += await _metrics(config, stack)
@@ -120,10 +120,10 @@ async def fly(
             ports=await _ports(config, autopilot, camera, credentials, journal=journal, stack=stack),
             programs={name: service.program for name, service in services.items()},
             parts={name: service.part for name, service in services.items() if service.part},
-            done=done,
-            ordered=ordered,
+            done=earlier.done,
+            ordered=earlier.ordered,
             order=order_begun(read_events(log), config) if resumes else None,
-            objects=objects_acted_on(read_events(log)) if resumes else None,
+            objects=earlier.objects,
             speed_why=speed_why,
         )
         await stack.enter_async_context(_tracking(flight, journal))
@@ -135,6 +135,19 @@ async def fly(
             await flight.run()
         finally:
             _keep_maps(config, flight, journal)
+
+
+class _Earlier(NamedTuple):
+    """What an interrupted mission has done; None where no mission is taken up."""
+
+    done: frozenset[int] | None = None
+    ordered: ComingDown | None = None
+    objects: FlightObjects | None = None
+
+
+def _earlier(log: Path, config: DroneConfig) -> _Earlier:
+    events = read_events(log)
+    return _Earlier(waypoints_done(events, config), ordered_down(events), objects_acted_on(events))
 
 
 def _keep_maps(config: DroneConfig, flight: Flight, journal: Journal) -> None:
