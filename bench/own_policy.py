@@ -1,8 +1,8 @@
 """What a question to a policy of one's own costs: `python -m bench.own_policy`.
 
-The policy is the built-in look-ahead in a file of its own. It is asked in turns: directly, in a thread of the same
-program (as before own policies had processes), and in its process. The question is that of a drone among 8 servers,
-20 calls ahead. Times are real; a ratio compares the medians of one turn.
+The policy is the built-in look-ahead in a file of its own. The bench calls it in turns: directly, in a thread of the
+same program (as before own policies had processes), and in its process. The question is that of a drone among 8
+servers, 20 calls ahead. Times are real; a ratio compares the medians of one turn.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ def placed_by_the_last_photo() -> Planting:
     return planted
 
 
-@planting("answers are told before the way down")
+@planting("the user gets all answers at the end of the way")
 def told_late() -> Planting:
     have_told, settle = AnswerAction._have_told, Vehicle._settle
     untold: list[tuple[MissionThread, Callable[[], None]]] = []

@@ -88,7 +88,7 @@ FOUND_BY_SEED = {
     "each finding of an object has an act": 61,
     "an act on an object is done at the waypoint of its photo": 61,
     "findings are placed by the last photo": 85,
-    "answers are told before the way down": 61,
+    "the user gets all answers at the end of the way": 61,
     "a server that was found stopped counts as running, and nothing bounds the pace of selections": 1394,
 }
 

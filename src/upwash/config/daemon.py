@@ -136,8 +136,8 @@ class DaemonConfig(
     allow_without_certificates: bool = False
     """For trying things out, on loopback or a unix socket only."""
     metrics: values.Text | None = None
-    """The address at which Prometheus reads the metrics of the daemon, `host:port`: [metrics](metrics.md). Probes ask
-    there whether the daemon is [alive and ready](servers.md#ports-and-health)."""
+    """The daemon offers its [metrics](metrics.md) to Prometheus at this address, `host:port`. Probes learn there
+    whether the daemon is [alive and ready](servers.md#ports-and-health)."""
     metrics_hosts: values.Names = ()
     """Further names of this computer that a Prometheus may use, such as `host.docker.internal`."""
     keys: DaemonKeysConfig | None = None

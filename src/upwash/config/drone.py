@@ -233,7 +233,7 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     folder: values.FilePath | None = None
     """A folder whose JPEG and PNG files are the photos, in turn."""
     device: values.VideoSource | None = None
-    """A video device's number or path, a video file's path, a stream's URL, or GStreamer's pipeline."""
+    """A camera, a film, or GStreamer's pipeline."""
     topic: values.Text | None = None
     """A [ROS 2](ros.md) topic: of `sensor_msgs/CompressedImage` if its name ends in `compressed`, else of
     `sensor_msgs/Image`."""

@@ -1,9 +1,9 @@
 """One object, one act: what the mission does at the place of an object that its answers show, once.
 
-    an answer    is told as soon as it is there, and the drone flies on; each object in it that is wanted is claimed
-    a claim      becomes an act at the object's place, at once or where that costs least (late_acts.py)
-    the act      is done where the object lies by all photos until then. An object that is one with another claimed
-                 object, that is no longer wanted, or that lies behind a fence has no act.
+    an answer    goes to `tell` at once, and the drone flies on. Each wanted object of the answer is claimed.
+    a claim      becomes an act at the object's place, at once or where that costs least (late_acts.py).
+    the act      is done where the object lies by all photos until then. There is none for an object that turned out
+                 to be another claimed object, that is no longer wanted, or that lies behind a fence.
     its answers  belong to the object: calls that the act makes and leaves open. The act is over with the last of them
 
 In the mission's thread.

@@ -1,8 +1,8 @@
 """The objects that a flight has found: findings of its answers that lie within their stated error of each other.
 
-    an answer     each finding gets a place by the photo of its call, and joins an object (core/camera/catalogue.py)
-    a claim       an object on which the mission acts, from the answer on; no other finding of it is claimed
-    an act        at the object's place, by all its findings until then; objects that are one by then have one act
+    an answer     Each finding gets a place by the photo of its call, and joins an object (core/camera/catalogue.py).
+    a claim       The mission will act on the object: no other finding of the object is claimed.
+    an act        The place is that of all findings until then. Objects that were joined meanwhile have one act.
 
 An object is known by the keys of its findings, as the catalogue may join two objects later. In the mission's thread,
 or while that waits.

@@ -360,7 +360,7 @@ class Calls:
         self._thread.post(lambda: call._hearing.enough.set())  # noqa: PLW0108 - the loop makes it
 
     def let_go(self, call: Pending[Any]) -> None:
-        """Let the mission make its next call. Of calls that are made one at a time, this one ends now."""
+        """Let the mission make its next call: end this call, where calls are made one at a time."""
         if not self._several and not call.done():
             self.do(call._ended_now())
 

@@ -257,7 +257,7 @@ def _instance_ports(config: DaemonConfig) -> Mapping[int, int]:
 
 
 def _beside_own_socket(config: DaemonConfig) -> Path | None:
-    """The folder of the daemon's own socket, if it has one: drones call only sockets below that folder."""
+    """The folder of the daemon's own socket, where drones may call sockets; None for a daemon at a port."""
     own = config.listen.removeprefix("unix:")
     return None if own == config.listen else Path(own).absolute().parent
 

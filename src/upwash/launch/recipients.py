@@ -207,7 +207,7 @@ def _proxy_for(url: SplitResult) -> SplitResult | None:
 
 
 def _authorization(proxy: SplitResult) -> dict[str, str]:
-    """The header with the user and the password of the proxy's URL, if it has them."""
+    """The header with the user and the password of the proxy's URL; none for a URL without a user."""
     if proxy.username is None:
         return {}
     secret = f"{unquote(proxy.username)}:{unquote(proxy.password or '')}".encode()

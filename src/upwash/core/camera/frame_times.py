@@ -18,9 +18,9 @@ class FrameTimes:
 
     After a gap, frames that arrive in less than three quarters of the usual interval are old: each was captured one
     usual interval after the frame before it. The first frame at the usual pace is new, and each frame when the burst
-    has made up for the gap. A frame for which the reader did not wait may have been in a buffer. The stream's own
-    times tell its age, counted from the last frame for which the reader waited. A stream has `caught_up` with the
-    frames that came while it was opened once the reader has waited for one.
+    has made up for the gap. A frame that is there at once may come from a buffer: the times of the stream then tell
+    its age. A stream has `caught_up`, with the frames that came while it was opened, at the first frame that is not
+    there at once.
     """
 
     def __init__(self) -> None:

@@ -3,7 +3,7 @@
 A server has one of three roles, or none. Each role takes one radio.
 
     role            its states        what the radio does
-    in use          CHECK(-R), READY  calls go to this server, and to no other
+    in use          CHECK(-R), READY  calls go to this server alone
     in preparation  CHECK(-R), READY  joins and asks the next server, while another is in use; needs a second radio
     probed          BLACKLISTED       asks a server that failed for a sign of life; needs a radio that is free
 

@@ -13,7 +13,7 @@ from upwash.lab.faults.history import Breach, History, draws_objects, position_j
 from upwash.report.findings import Finder
 
 _NEAR_M = 6.0  # drawn objects with one label are twice as far apart
-_LEGS = 1  # to waypoints, from an answer until it is told, as a verb may be under way
+_LEGS = 1  # from an answer until the user gets it: a flight to a waypoint may be under way
 
 
 def one_act_each(history: History) -> Iterator[Breach]:

@@ -95,7 +95,9 @@ def _bag_file(bag: Path) -> Path:
         return bag
     files = [file for file in sorted(bag.iterdir()) if file.suffix in _FILES]
     if not files:
-        raise UsageError(f"camera.bag: {bag} is no ROS 2 bag: it has neither metadata.yaml nor a bag's file")
+        raise UsageError(
+            f"camera.bag: {bag} is no ROS 2 bag: it has no metadata.yaml, no .mcap and no .db3 file"
+        )
     if len(files) > 1:
         names = ", ".join(file.name for file in files)
         raise UsageError(

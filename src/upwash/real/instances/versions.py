@@ -19,8 +19,8 @@ _MOST_READ_BYTES = 2**28  # beyond this only the size and the time of the last c
 def version_of(program: Program, readable: Iterable[Path] = ()) -> str:
     """A fingerprint of the program's code, of the files that its settings and its command name, and of `readable`.
 
-    It includes the `*.py` files and packages beside a `path/to/file.py`, but neither upwash nor libraries. At most
-    4096 files of each folder are included, and 256 MiB are read in all. The folder that all lie in does not count.
+    It includes the `*.py` files and packages beside a `path/to/file.py`; it does not include upwash or libraries. At
+    most 4096 files of each folder are included, and 256 MiB are read in all. The folder around them does not count.
     """
     code = [place for place in code_of(program.path) if not place.is_relative_to(_UPWASH)]
     if program.path.rpartition(":")[0].endswith(".py"):

@@ -31,9 +31,7 @@ from upwash.real.link.streams import readable
 
 _VARIABLE = "UPWASH_HANDED_OVER"
 _READY = b"ready"
-_PARENT = (
-    os.getppid()
-)  # the old daemon, where there is one; another process adopts the children of an ended one
+_PARENT = os.getppid()  # of a successor the old daemon, until that ends
 _log = logging.getLogger("upwash.serving")
 
 

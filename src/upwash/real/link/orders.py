@@ -96,7 +96,7 @@ async def _converse(connection: socket.socket, obey: Obey, room: asyncio.Semapho
 
 
 async def _line(connection: socket.socket) -> str:
-    """The line that the other end sends; ValueError for one that is too long."""
+    """The line that the other end sends; raises ValueError for a line that is too long."""
     line = b""
     while not line.endswith(b"\n"):
         if len(line) > _LONGEST_ORDER_BYTES:
