@@ -15,6 +15,7 @@ from upwash.core.knowledge.coverage import Coverage, MeasuredPlace
 from upwash.core.knowledge.estimates import WINDOW_LENGTH
 from upwash.core.operation import Operation
 
+# No flight bounds how long a call may take, so a smaller bound would refuse maps that upwash itself writes.
 _Amount = Annotated[float, Meta(ge=0, le=1e18)]
 
 

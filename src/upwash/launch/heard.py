@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from upwash.support.text import printable
 
-_MOST_LINES = 8
+_MOST_LINES = 8  # a check calls several services, a profile only one
 _LONGEST_LINE = 500  # characters
 
 
