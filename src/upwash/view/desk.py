@@ -21,6 +21,7 @@ from msgspec import Meta
 from starlette.requests import Request
 from starlette.responses import Response
 
+from upwash.core.admission.limits import Allowance
 from upwash.errors import NotWritten
 from upwash.report.reviews import (
     LONGEST_LABEL,
@@ -37,7 +38,7 @@ from upwash.view.feed import Feed, Reviewing
 
 _MOST_BYTES = 2**14  # of a request
 _PATIENCE_S = 5.0
-_BURST, _EACH_S = 50, 0.2  # requests at once, and the seconds for each request after that
+_PER_S, _AT_ONCE = 5.0, 50  # requests
 _TOKEN = "X-Upwash-Token"  # noqa: S105 - the name of a header
 
 
@@ -75,7 +76,7 @@ class Desk:
     def __init__(self, feed: Feed, reviewing: Reviewing) -> None:
         self._feed = feed
         self._token = reviewing.token.encode()
-        self._pace = _Pace()
+        self._pace = Allowance(_PER_S, at_once=_AT_ONCE)
         self._writing = asyncio.Lock()
         self._users = {os.getuid(), 0}
         if (user := os.environ.get("SUDO_UID", "")).isdecimal():
@@ -121,7 +122,7 @@ class Desk:
                 403,
                 "reviews are taken from the user who started this program alone: download them, or run upwash view",
             )
-        if not self._pace.allows():
+        if not self._pace.take(1, now_s=time.monotonic()):
             raise _Refused(429, "too many reviews at once: wait a few seconds")
         if headers.get("content-type") != "application/json":
             raise _Refused(415, "a review is sent as application/json")
@@ -147,23 +148,6 @@ class Desk:
         if recording is None or all(found.key != sent.finding for found in recording.story.found):
             raise _Refused(404, "the log has no such finding any more: load the page again")
         return recording.log
-
-
-class _Pace:
-    """Allows a number of requests at once, and then one after each interval."""
-
-    def __init__(self) -> None:
-        self._left, self._since_s = float(_BURST), time.monotonic()
-
-    def allows(self) -> bool:
-        """Whether another is allowed now."""
-        now_s = time.monotonic()
-        self._left = min(float(_BURST), self._left + (now_s - self._since_s) / _EACH_S)
-        self._since_s = now_s
-        if self._left < 1:
-            return False
-        self._left -= 1
-        return True
 
 
 _DECODER = msgspec.json.Decoder(_Sent)
