@@ -6,16 +6,16 @@ Racing is a policy of one's own. The programs cannot stop the drone's own comput
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from unittest.mock import patch
 
 from upwash.config import DroneConfig, FaultConfig, server_places, server_truth, true_areas
+from upwash.core.call.call import Call
+from upwash.core.call.calls import Calls
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.operation import Operation
-from upwash.drone.calling import Calling
 from upwash.drone.preparation import make_estimates
 from upwash.eventlog import schema
 from upwash.lab.run import Run
@@ -24,7 +24,6 @@ from upwash.policies import CallInputs, Decision, Local, LookAhead, Remote
 from upwash.sim.chance import Chance
 from upwash.sim.radio import Spot, goodput_of
 from upwash.sim.world import computing_s, delay_of
-from upwash.support.background import end
 
 _FLAP_S = 5.0
 _HARMLESS = ("full", "wrong")  # to a client that has its slot and the instances' addresses already
@@ -48,10 +47,15 @@ def stoppable(stops: bool) -> Iterator[None]:
         yield
         return
 
-    async def drop(self: Calling, operation: Operation, local: asyncio.Task[Any]) -> None:
-        await end(local)
+    over = Calls.over
 
-    with patch.object(Calling, "_drop", drop):
+    def stops_own(self: Calls, call: Call) -> None:
+        over(self, call)
+        if call.own is not None and call.own.is_open:
+            call.own.state = "failed"
+            self.forget_own(call.own)
+
+    with patch.object(Calls, "over", stops_own):
         yield
 
 

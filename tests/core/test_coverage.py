@@ -7,7 +7,7 @@ from upwash.core.knowledge.coverage import Coverage, MeasuredPlace
 from upwash.core.knowledge.estimates import Beliefs, Estimates
 from upwash.core.operation import Operation
 from upwash.core.policies.policy import LocationAware
-from upwash.core.selection.commands import Effect, Mapped
+from upwash.core.selection.commands import Effect
 from upwash.core.selection.events import (
     CheckAnswered,
     NetworkGone,
@@ -20,6 +20,7 @@ from upwash.core.selection.events import (
 from upwash.core.selection.recovery import Probing
 from upwash.core.selection.selection import Selection
 from upwash.core.selection.settings import SelectionSettings
+from upwash.eventlog.schema import PlaceMeasured
 
 HEAVY = Operation("detector", "process_photo", "heavy")
 LIGHT = Operation("detector", "process_photo", "light")
@@ -178,7 +179,7 @@ def mapping(*, has_range: bool = False) -> Selection:
 
 def mapped(effects: list[Effect]) -> list[tuple[int, int]]:
     """How many calls and questions were tried, and answered, at the places that are to be logged."""
-    return [(each.place.tried, each.place.answered) for each in effects if isinstance(each, Mapped)]
+    return [(each.place.tried, each.place.answered) for each in effects if isinstance(each, PlaceMeasured)]
 
 
 @pytest.mark.parametrize(

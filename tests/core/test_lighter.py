@@ -15,12 +15,12 @@ from upwash.core.planning.legs import Pace
 from upwash.core.planning.mission_model import MissionBeliefs, StopCall
 from upwash.core.policies.names import make_policy
 from upwash.core.policies.policy import Lightened
-from upwash.core.selection.commands import ExpectedTimes
 from upwash.core.selection.events import LegBegun, LegEnded, LocalCallEnded, MissionBegun
 from upwash.core.selection.mission_times import is_lighter
 from upwash.core.selection.selection import Selection
 from upwash.core.selection.settings import LighterSettings, SelectionSettings
 from upwash.core.vehicle.way_home import EnergyFacts, WayHome
+from upwash.eventlog.schema import Foreseen
 
 HEAVY, LIGHT = Operation("detector", "look", "heavy"), Operation("detector", "look", "light")
 
@@ -120,7 +120,7 @@ VEHICLE = EnergyFacts(
 
 def begun(
     finish_by_s: float, *, policy: str = "location-aware", light_s: float = 3.0
-) -> tuple[Selection, ExpectedTimes]:
+) -> tuple[Selection, Foreseen]:
     """Six waypoints, of which a server's range has those at 40 and 60 m; the vehicle has just been armed."""
     estimates = Estimates(
         local_s={HEAVY: 10.0, LIGHT: light_s},
@@ -134,7 +134,7 @@ def begun(
         mission=MissionBeliefs(PLAN, 4.0, Pace(1.0, lifting_s=TAKEOFF_S), [StopCall(HEAVY, PHOTO_S)]),
     )
     (foreseen,) = selection.handle(MissionBegun(VEHICLE), now_s=0.0, position=Position(0.0, 0.0))
-    assert isinstance(foreseen, ExpectedTimes)
+    assert isinstance(foreseen, Foreseen)
     return selection, foreseen
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from upwash.core.geo import Circle, Position
 from upwash.core.knowledge.estimates import Beliefs, Estimates
-from upwash.core.knowledge.servers import Change, State
+from upwash.core.knowledge.servers import State
 from upwash.core.operation import Operation
 from upwash.core.policies.policy import (
     Deadline,
@@ -23,7 +23,7 @@ from upwash.core.policies.policy import (
     Wait,
     WaitRule,
 )
-from upwash.core.selection.commands import Check, Effect, Full, Leave, Probe, ServerPaused, Start
+from upwash.core.selection.commands import Check, Effect, Leave, Probe, Start
 from upwash.core.selection.events import (
     CheckAnswered,
     DescentBegun,
@@ -49,6 +49,7 @@ from upwash.core.selection.recovery import Probing
 from upwash.core.selection.selection import Selection
 from upwash.core.selection.settings import SelectionSettings
 from upwash.errors import TransitionError
+from upwash.eventlog.schema import LeftOut, NoSlot, ServerStep
 
 HEAVY = Operation("detector", "process_photo", "heavy")
 AREAS = {"s1": Circle(Position(80.0, 80.0), 100.0), "s2": Circle(Position(120.0, 120.0), 100.0)}
@@ -77,15 +78,15 @@ def written(commands: list[Effect]) -> list[str]:
     words = []
     for command in commands:
         match command:
-            case Change(server, _, before, after):
+            case ServerStep(server=server, before=before, after=after):
                 words.append(f"{server} {before} {after}")
             case Check(server, check) | Start(server, check) | Probe(server, check):
                 words.append(f"{type(command).__name__.lower()} {server} {check}")
             case Leave(server):
                 words.append(f"leave {server}")
-            case Full(server, _, waiting):
+            case NoSlot(server=server, waiting=waiting):
                 words.append(f"{server} full, {waiting} waiting")
-            case ServerPaused(server, _, pause_s, why):
+            case LeftOut(server=server, pause_s=pause_s, why=why):
                 words.append(f"{server} paused {pause_s:g} s: {why}")
             case _:
                 raise AssertionError(command)
@@ -477,7 +478,8 @@ def test_a_failed_server_is_joined_within_the_time_of_a_check_whose_services_run
 def test_a_server_without_a_slot_goes_on_being_asked_and_no_call_waits_for_it() -> None:
     machine = selection()
     machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
-    assert machine.handle(SlotRefused(1, 3), now_s=2.0, position=UNDER_S1) == [Full("s1", 1, 3)]
+    refused = machine.handle(SlotRefused(1, 3), now_s=2.0, position=UNDER_S1)
+    assert refused == [NoSlot(server="s1", check=1, waiting=3)]
     assert machine.handle(SlotRefused(1, 2), now_s=4.0, position=UNDER_S1) == [], "it is no news"
     assert not machine.is_awaited(1)
     decision, effects = machine.decide(HEAVY, now_s=5.0, position=UNDER_S1)
@@ -563,8 +565,8 @@ def test_the_reason_of_a_failure_is_kept() -> None:
     machine = selection()
     machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
     change = machine.handle(ServerUnusable(1, "no slot"), now_s=3.0, position=UNDER_S1)[0]
-    assert isinstance(change, Change)
-    assert (change.why, change.at_s) == ("no slot", 3.0)
+    assert isinstance(change, ServerStep)
+    assert (change.why, machine.servers["s1"].since_s) == ("no slot", 3.0)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from msgspec import structs
 
 from upwash.core.geo import Circle, Position, Waypoint
 from upwash.core.knowledge.estimates import Beliefs, Estimates
-from upwash.core.knowledge.servers import CHECKING, SELECTED, TRANSITIONS, Change, State
+from upwash.core.knowledge.servers import CHECKING, SELECTED, TRANSITIONS, State, Trigger
 from upwash.core.operation import Operation
 from upwash.core.planning.mission_model import MissionBeliefs, StopCall
 from upwash.core.policies.look_ahead import LookAhead
@@ -60,6 +60,7 @@ from upwash.core.selection.radios import MOST_SELECTED, SELECTED_IN_S
 from upwash.core.selection.recovery import REST_S, Probing
 from upwash.core.selection.selection import Selection
 from upwash.core.selection.settings import SelectionSettings
+from upwash.eventlog.schema import ServerStep
 
 OPERATIONS = [Operation("detector", "process_photo", "heavy"), Operation("counter", "count")]
 GAIN_SWITCH = GAIN_WAIT = GAIN_SLOT = 0.25
@@ -360,14 +361,13 @@ class Flights(RuleBasedStateMachine):
     def carry_out(self, commands: list[Effect]) -> None:  # noqa: PLR0915 - one case for each command
         for command in commands:
             match command:
-                case Change(server, event, before, after, at_s):
+                case ServerStep(server=server, before=before, after=after):
                     assert self.states[server] is before
-                    assert TRANSITIONS[before, event] is after
-                    assert at_s == self.now_s
+                    assert TRANSITIONS[before, Trigger(command.kind)] is after
                     self.states[server] = after
-                    self.entered_s[server] = at_s
+                    self.entered_s[server] = self.now_s
                     if after is State.BLACKLISTED:
-                        self.blacklisted_at_s[server] = at_s
+                        self.blacklisted_at_s[server] = self.now_s
                         self.doubted[server] = set()
                 case Leave(server):
                     assert server in self.joined or server in self.probed, "left what was not joined"

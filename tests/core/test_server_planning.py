@@ -15,7 +15,7 @@ from upwash.core.planning.mission_model import MissionBeliefs, StopCall
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.look_ahead import LookAhead
 from upwash.core.policies.policy import Coming, Local, LocationAware, Policy, Remote, Wait
-from upwash.core.selection.commands import ExpectedTimes, Prepare
+from upwash.core.selection.commands import Prepare
 from upwash.core.selection.events import (
     CheckAnswered,
     LegBegun,
@@ -32,6 +32,7 @@ from upwash.core.selection.events import (
 from upwash.core.selection.selection import Selection
 from upwash.core.selection.server_planning import PrewarmNotifier
 from upwash.core.vehicle.way_home import EnergyFacts, WayHome
+from upwash.eventlog.schema import Foreseen
 
 START_S = 8.0
 
@@ -213,7 +214,7 @@ def test_looking_ahead_a_server_is_left_as_a_leg_begins_that_leads_away_from_it(
 def foreseen(machine: Selection, now_s: float) -> list[float]:
     """The seconds from each waypoint to the next, as they are expected at the start of a mission."""
     (times,) = machine.handle(MissionBegun(LANDS_AT_ONCE), now_s=now_s, position=Position(0.0, 0.0))
-    assert isinstance(times, ExpectedTimes)
+    assert isinstance(times, Foreseen)
     reached_s = [*times.reached_s, times.as_asked_s]
     return [after - before for before, after in itertools.pairwise(reached_s)]
 

@@ -11,11 +11,12 @@ from upwash.core.operation import Operation
 from upwash.core.planning.legs import ARDUCOPTER, Leg, Pace
 from upwash.core.planning.mission_model import MissionBeliefs, MissionModel, StopCall
 from upwash.core.policies.names import make_policy
-from upwash.core.selection.commands import Effect, ExpectedTimes
+from upwash.core.selection.commands import Effect
 from upwash.core.selection.events import MissionBegun
 from upwash.core.selection.selection import Selection
 from upwash.core.selection.settings import SelectionSettings
 from upwash.core.vehicle.way_home import EnergyFacts, WayHome
+from upwash.eventlog.schema import Foreseen
 
 LOOK, COUNT = Operation("detector", "look"), Operation("counter", "count")
 LEG_S, PHOTO_S, TAKEOFF_S, AT_ONCE = 9.0, 1.0, 10.0, 1e9  # a leg of 20 m at 4 m/s and 1 m/s²
@@ -48,9 +49,9 @@ def begin(
 
 def foreseen(
     plan: list[Waypoint], stop: list[StopCall], *, vehicle: EnergyFacts = VEHICLE, lands: bool = False
-) -> ExpectedTimes:
+) -> Foreseen:
     (effect,) = begin(plan, stop, vehicle=vehicle, lands=lands)
-    assert isinstance(effect, ExpectedTimes)
+    assert isinstance(effect, Foreseen)
     return effect
 
 
@@ -79,7 +80,7 @@ def test_the_pace_of_the_vehicle_that_was_found_counts_where_the_file_has_none(a
     )
     begun = MissionBegun(VEHICLE, found)
     (effect,) = selection.handle(begun, now_s=3.0, position=Position(0.0, 0.0))
-    assert isinstance(effect, ExpectedTimes)
+    assert isinstance(effect, Foreseen)
     takeoff_s, leg_s, home_s = (13.0, 6.5, 8.0) if assumed else (TAKEOFF_S, LEG_S, 16.0)
     stops_s = [takeoff_s + number * (leg_s + PHOTO_S + 10.0) for number in range(4)]
     assert effect.reached_s == pytest.approx(stops_s, abs=0.01)

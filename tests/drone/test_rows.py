@@ -19,8 +19,8 @@ from tests.surveys import END, at, begin, transects, written
 
 from upwash import Drone, Position, Waypoint
 from upwash.config import FaultConfig, read_drone_config, waypoints
+from upwash.core.call.calls import Calls
 from upwash.core.geo import ground_distance_m
-from upwash.drone.decisions import Decisions
 from upwash.errors import AutopilotOverruled, CameraError, MissionStopped, ReserveReached
 from upwash.eventlog import schema
 from upwash.ports import Photo
@@ -394,14 +394,14 @@ def test_a_photo_that_fails_leaves_the_others() -> None:
 
 def test_a_defect_of_offloading_holds_up_no_call_in_line() -> None:
     """The third decision raises, with calls in line."""
-    decide, count = Decisions.decide, itertools.count()
+    decide, count = Calls.decide, itertools.count()
 
-    def fails(self: Decisions, *call: Any, **more: Any) -> Any:
+    def fails(self: Calls, *call: Any, **more: Any) -> Any:
         if next(count) == 2:
             raise KeyError("a defect")
         return decide(self, *call, **more)
 
-    with patch.object(Decisions, "decide", fails):
+    with patch.object(Calls, "decide", fails):
         part = fly(rows())
     assert part.error is None
     assert len(of(part.events, schema.OffloadingFailed)) == 1

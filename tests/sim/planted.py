@@ -39,6 +39,9 @@ from upwash.core.admission.peers import Peers
 from upwash.core.admission.turns import Turns
 from upwash.core.admission.watchdog import InstanceFailures as DaemonFailures
 from upwash.core.admission.watchdog import Limit, Watch
+from upwash.core.call import steps
+from upwash.core.call.call import Call
+from upwash.core.call.calls import Calls
 from upwash.core.geo import Position, Waypoint
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import Server, ServerTable, State, Trigger
@@ -48,8 +51,8 @@ from upwash.core.selection.hedging import Hedging
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import Probing, Recovery, ServerFailures
 from upwash.drone import flight, server_session
-from upwash.drone.calling import Calling
-from upwash.drone.decisions import Background, Decisions
+from upwash.drone.looks import Looks
+from upwash.drone.offloading import Offloading
 from upwash.drone.pending import AnswerAction, position_of
 from upwash.drone.server_session import ServerSession
 from upwash.errors import GarbledReply, LinkError, Refused, ServerFull
@@ -99,9 +102,10 @@ def wait_without_bound(decide: Any, self: WaitRule, call: CallInputs) -> Any:
     return Wait(decision.server, 1e3, decision.why) if isinstance(decision, Wait) else decision
 
 
-@planted("the program waits longer than was decided", Decisions, "wait")
-async def wait_not_watched(wait: Any, self: Decisions, operation: Any, decision: Wait) -> Any:
-    return await wait(self, operation, Wait(decision.server, decision.at_most_s * 3 + 1, decision.why))
+@planted("the program waits longer than was decided", Call, "decide")
+def wait_not_watched(decide: Any, self: Call, calls: Calls, **more: Any) -> None:
+    decide(self, calls, **more)
+    self.check_until_s = calls.now_s + 3 * (self.check_until_s - calls.now_s) + 1
 
 
 @planted("a remote call's deadline is ignored", ServerSession, "call")
@@ -155,14 +159,12 @@ def own_exception_swallowed(result: Any, self: Method, decoded: Any) -> Any:
 plant("what a server says was raised is believed", Method, "raised", lambda *_: "")
 
 
-@planted("a failed remote call raises in the mission", Calling, "at_server")
-async def network_error_raised(original: Any, _: Calling, attempt: Any) -> Any:
-    operation, method = attempt.call.operation, attempt.call.method
-    return method.decode(
-        await attempt.session.call(
-            operation.service, operation.method, attempt.call.request, deadline_s=attempt.deadline_s
-        )
-    )
+@planted("a failed remote call raises in the mission", Offloading, "_send")
+async def network_error_raised(send: Any, self: Offloading, told: steps.Send, session: Any) -> Any:
+    event, opened = await send(self, told, session), self._open[told.attempt.call]
+    if isinstance(event, steps.Failed) and not opened.answer.done():
+        opened.answer.set_exception(LinkError(event.why))
+    return event
 
 
 @planted("the blacklist is left too early", ServerTable, "expire")
@@ -291,17 +293,17 @@ def started_twice(
     return answer, commands
 
 
-@planted("calls on the drone take longer than the service", Calling, "onboard")
-async def local_call_dawdles(call: Any, self: Calling, asked: Any) -> Any:
+@planted("calls on the drone take longer than the service", Offloading, "_onboard_reply")
+async def local_call_dawdles(reply: Any, self: Offloading, *call: Any) -> Any:
     await asyncio.sleep(0.15)
-    return await call(self, asked)
+    return await reply(self, *call)
 
 
 plant("the mission's end waits for a server's goodbye", server_session, "_FAREWELL_S", 20.0)
 
 
-@planted("a silent vehicle ends the watch over ranges", Background, "watch_borders")
-async def borders_not_watched(original: Any, self: Background) -> None:
+@planted("a silent vehicle ends the watch over ranges", Looks, "watch_borders")
+async def borders_not_watched(original: Any, self: Looks) -> None:
     while True:
         await self._autopilot.border_crossed(self._areas)
 
@@ -326,19 +328,19 @@ def hedging_budget_ignored(original: Any, self: Hedging, *_: object, **__: objec
 
 @planting("the answer that a hedged call drops answers the next")
 def both_answers_delivered() -> Planting:
-    drop, answer, late = Calling._drop, Calling.answer, dict[tuple[int, str], Any]()
+    compute, answer, late = Offloading._compute, Offloading._answer, dict[tuple[int, str], Any]()
 
-    async def keep(self: Calling, operation: Any, local: Any) -> None:
-        await drop(self, operation, local)
-        late[id(self), operation.method] = local.result()
+    async def keep(self: Offloading, told: steps.Compute) -> Any:
+        event = await compute(self, told)
+        if told.computing.call.is_over:
+            call = told.computing.call
+            late[id(self), call.asked.operation.method] = self._open[call].replies[told.computing]
+        return event
 
-    async def confused(self: Calling, decision: Any, asked: Any, *about: Any, **how: Any) -> Any:
-        found = await answer(self, decision, asked, *about, **how)
-        if (old := late.pop((id(self), asked.operation.method), None)) is not None:
-            return replace(found, reply=old)
-        return found
+    def confused(self: Offloading, call: Call, reply: Any) -> None:
+        answer(self, call, late.pop((id(self), call.asked.operation.method), reply))
 
-    return patch.multiple(Calling, _drop=keep, answer=confused)
+    return patch.multiple(Offloading, _compute=keep, _answer=confused)
 
 
 @planted("the bounds of a reply's fields are not checked", server_session, "decode_reply")

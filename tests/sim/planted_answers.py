@@ -2,32 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
-from msgspec.structs import replace
-from tests.sim.planting import planted
+from tests.sim.planting import plant, planted
 
-from upwash.core.policies.policy import Decision
-from upwash.drone.calling import CallAnswer, Calling, Invocation, Twice
+from upwash.core.call.call import Call
+from upwash.drone.offloading import Offloading
 from upwash.drone.pending import AnswerAction, Demand
 
-
-@planted("a better answer counts after its deadline", Calling, "answer_twice")
-async def waits_longer(
-    answer: Any, self: Calling, decision: Decision, call: Invocation, twice: Twice
-) -> CallAnswer:
-    twice.by_s += 20.0
-    found: CallAnswer = await answer(self, decision, call, twice)
-    return found
+plant(
+    "a better answer counts after its deadline",
+    Call,
+    "by_s",
+    property(lambda self: self.made_s + (self.two.within_s + 20.0 if self.two else math.inf)),
+)
 
 
-@planted("the first answer counts where a better one came", Calling, "answer_twice")
-async def keeps_the_first(
-    answer: Any, self: Calling, decision: Decision, call: Invocation, twice: Twice
-) -> CallAnswer:
-    found: CallAnswer = await answer(self, decision, call, twice)
-    heard = twice.hearing.first
-    return replace(found, reply=heard.result()) if heard.done() else found
+@planted("the first answer counts where a better one came", Offloading, "_answer")
+def keeps_the_first(answer: Any, self: Offloading, call: Call, reply: Any) -> None:
+    heard = self._open[call].hearing.first
+    answer(self, call, heard.result() if heard.done() else reply)
 
 
 @planted("the demand of a better answer is not met", Demand, "holds")

@@ -8,12 +8,14 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 from unittest.mock import patch
 
+from msgspec import structs
 from msgspec.structs import replace
 from tests.sim.planting import Planting, plant, planted, planting
 
 from upwash.config import DroneConfig
+from upwash.core.call.call import Call
+from upwash.core.call.calls import Calls
 from upwash.core.geo import Position
-from upwash.core.operation import Operation
 from upwash.core.planning import acts, earliest
 from upwash.core.planning.acts import Acts
 from upwash.core.planning.demand_map import DemandMap
@@ -22,7 +24,6 @@ from upwash.core.selection.lanes import Lanes
 from upwash.drone import legs
 from upwash.drone.late_acts import LateActs
 from upwash.drone.legs import Legs
-from upwash.drone.line import CallLine
 from upwash.drone.pending import AnswerAction
 from upwash.drone.rows import Rows, ahead_m
 from upwash.drone.seeking import Seeking
@@ -94,10 +95,10 @@ def overtakes_where_busy(overtake: Any, self: CallPlacement, *about: Any) -> Any
         return overtake(self, *about)
 
 
-@planted("the line is left from its other end", CallLine, "__init__")
-def other_end(init: Any, self: CallLine, decisions: Any, **how: Any) -> None:
-    init(self, decisions, **how)
-    self._lanes.newest_first = not self._lanes.newest_first
+@planted("the line is left from its other end", Calls, "__init__")
+def other_end(init: Any, self: Calls, *about: Any, **how: Any) -> None:
+    init(self, *about, **how)
+    self.lanes.newest_first = not self.lanes.newest_first
 
 
 @planted("a free place takes the last call of the line", earliest, "first_taken")
@@ -112,9 +113,10 @@ async def never_rests(sooner: Any, self: Seeking, *about: Any, but: set[str], **
         return await sooner(self, *about, but=set(), **how)
 
 
-@planted("a call that the mission waits for joins the line", CallLine, "turn")
-def nothing_is_urgent(turn: Any, self: CallLine, operation: Operation, **more: Any) -> Any:
-    return turn(self, operation, **(more | {"urgent": False}))
+@planted("a call that the mission waits for joins the line", Calls, "_make")
+def nothing_is_urgent(make: Any, self: Calls, call: Call) -> None:
+    call.asked = structs.replace(call.asked, urgent=False)
+    make(self, call)
 
 
 @planted("the drone sets off for home with open answers", Rows, "settle")

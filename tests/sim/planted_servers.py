@@ -7,13 +7,12 @@ from typing import Any
 
 from tests.sim.planting import planted
 
+from upwash.core.call.call import Call
+from upwash.core.call.calls import Calls
 from upwash.core.selection.events import RemoteCallFailed, RemoteCallQueued, SelectionEvent
 from upwash.drone import api, flight
-from upwash.drone.calling import Invocation
-from upwash.drone.decisions import Decisions
-from upwash.drone.pending import Hearing
-from upwash.drone.server_calls import ServerCalls
-from upwash.rpc.service import NoAnswer, Patience
+from upwash.eventlog import schema
+from upwash.rpc.service import Patience
 
 
 @planted("an instance that only servers run starts on the drone", flight, "onboard_services")
@@ -26,21 +25,24 @@ def forgets_deadlines(make_stub: Any, cls: type, invoke: Any, patience: Patience
     return make_stub(cls, invoke, patience and replace(patience, within_s=None))
 
 
-@planted("a call that no server answered is not in the log", ServerCalls, "unanswered")
-def says_nothing(_: Any, self: ServerCalls, asked: Invocation, why: str, asked_s: float) -> NoAnswer:
-    return NoAnswer(why)
+@planted("a call that no server answered is not in the log", Calls, "do")
+def says_nothing(do: Any, self: Calls, step: Any) -> None:
+    if not isinstance(step, schema.Unanswered):
+        do(self, step)
 
 
-@planted("a call that was answered ends without an answer too", ServerCalls, "answer")
-async def ends_twice(answer: Any, self: ServerCalls, asked: Invocation, hearing: Hearing, **more: Any) -> Any:
-    reply = await answer(self, asked, hearing, **more)
-    if not isinstance(reply, NoAnswer):
-        self.unanswered(asked, "late", 0.0)
-    return reply
+@planted("a call that was answered ends without an answer too", Call, "_end")
+def ends_twice(end: Any, self: Call, calls: Calls, source: Any) -> None:
+    end(self, calls, source)
+    if self.asked.on_servers:
+        about, operation = self.asked.waypoint, str(self.asked.operation)
+        calls.do(
+            schema.Unanswered(waypoint=about, operation=operation, at_s=0.0, waited_s=calls.now_s, why="late")
+        )
 
 
-@planted("a queue counts as a failure", Decisions, "tell")
-def blamed_for_a_queue(tell: Any, self: Decisions, event: SelectionEvent) -> None:
+@planted("a queue counts as a failure", Calls, "tell")
+def blamed_for_a_queue(tell: Any, self: Calls, event: SelectionEvent) -> None:
     if isinstance(event, RemoteCallQueued):
         check = self.selection.servers[event.server].check
         event = RemoteCallFailed(event.server, check, event.why, event.late)

@@ -1,8 +1,8 @@
 """PROGRAM: runs each service call on the drone or on a server, and looks for servers in the background.
 
-core/selection/ decides. decisions.py passes what is decided about servers on to the radios (radios.py); calls are
-made and raced by calling.py. A defect in any of these ends offloading and is logged; from then on every call runs on
-the drone, and the mission goes on.
+core/call/ and core/selection/ decide; this carries their instructions out, and tells them what has come of it. A
+defect in any of these ends offloading and is logged; from then on every call runs on the drone, and the mission goes
+on.
 """
 
 from __future__ import annotations
@@ -10,39 +10,82 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import traceback
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
+from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Literal, NoReturn, TypeVar
+from typing import Any, Literal, NoReturn, TypeAlias, TypeVar
 
+from upwash.core.call import steps
+from upwash.core.call.attempts import Attempt, Computing
+from upwash.core.call.call import Call
+from upwash.core.call.calls import Calls
+from upwash.core.call.steps import Asked, CallEvent, Instruction
 from upwash.core.geo import Circle
-from upwash.core.operation import ON_DRONE, Operation, name_of
+from upwash.core.operation import ON_DRONE, Operation
 from upwash.core.planning.acts import LateAct
 from upwash.core.planning.answering import ServerBelief
 from upwash.core.planning.backlog import Stay
 from upwash.core.planning.stay_or_go import Outlook
-from upwash.core.policies.policy import Remote, Wait
 from upwash.core.selection.deadlines import Deadlines
 from upwash.core.selection.events import NoMoreCalls, SelectionEvent
 from upwash.core.selection.hedging import Hedging
 from upwash.core.selection.selection import Selection
-from upwash.drone.before_sending import BeforeSending
-from upwash.drone.calling import CallAnswer, Calling, Invocation, Twice
-from upwash.drone.decisions import Background, Decisions, now_s
-from upwash.drone.line import AT_ONCE, CallLine, Turn
+from upwash.drone.before_sending import BeforeSending, NotReduced
+from upwash.drone.looks import Looks
 from upwash.drone.onboard import OnboardServices
 from upwash.drone.own_policy import OwnPolicy
 from upwash.drone.pending import Hearing
 from upwash.drone.radios import RadioWorker, RadioWorkers
 from upwash.drone.server_calls import ServerCalls
-from upwash.drone.server_session import ServerEndpoint
-from upwash.errors import TransitionError, UpwashError
+from upwash.drone.server_session import ServerEndpoint, ServerSession
+from upwash.errors import (
+    UNREACHED,
+    DeadlineExceeded,
+    LinkError,
+    NoLease,
+    NotBegun,
+    TransitionError,
+    UpwashError,
+)
 from upwash.eventlog import schema
+from upwash.eventlog.schema import Event
 from upwash.ports import Dialer, Journal, Network, Whereabouts
-from upwash.rpc.service import Method
-from upwash.support.background import end, first, start
+from upwash.rpc.service import Method, NoAnswer, Reply
+from upwash.support.background import begin, end, first, start
 from upwash.support.text import printable, worded
 
 T = TypeVar("T")
+Work: TypeAlias = Attempt | Computing
+_LOCAL_LEAST_S, _LOCAL_FACTOR = 30.0, 10.0  # times the estimate: a call on the drone that takes longer hangs
+
+
+class _Defect(Exception):
+    """Deciding has failed in a call that is open."""
+
+
+@dataclass(slots=True, eq=False)
+class _Open:
+    """A call of the mission, and what the program does for it."""
+
+    method: Method
+    request: bytes
+    hearing: Hearing
+    answer: asyncio.Future[Any]
+    replies: dict[Work, Any] = field(
+        default_factory=dict
+    )  # decoded; or the failure of the drone's own service
+    tasks: dict[Work, asyncio.Task[None]] = field(default_factory=dict)
+    visits: dict[Attempt, tuple[RadioWorker, ServerSession]] = field(default_factory=dict)
+    smaller: dict[Attempt, bytes] = field(default_factory=dict)  # requests
+
+    def request_of(self, work: Work) -> bytes:
+        """The request of an attempt, as its operation."""
+        return self.request_as(work.operation, work.call.asked.operation)
+
+    def request_as(self, operation: Operation, asked: Operation) -> bytes:
+        """The request as another operation of the same method."""
+        return self.request if operation == asked else self.method.under(operation.key, self.request)
 
 
 class Offloading:
@@ -69,7 +112,12 @@ class Offloading:
         first: Literal["oldest", "newest"] | None = None,
         waiting_bytes: Mapping[str, int] = MappingProxyType({}),
     ) -> None:
+        self._selection = selection
+        self._autopilot = autopilot
+        self._onboard = onboard
         self._journal = journal
+        self._before_sending = before_sending
+        self._calls = Calls(selection, hedging, deadlines, first=first, waiting_bytes=waiting_bytes)
         self._radios = RadioWorkers(
             [
                 RadioWorker(
@@ -78,43 +126,29 @@ class Offloading:
                     network=network,
                     dialer=dialer,
                     journal=journal,
-                    tell=lambda event: self._decisions.tell(event),  # noqa: PLW0108 - they are made below
-                    told=lambda: self._decisions.told(),  # noqa: PLW0108 - likewise
+                    tell=self.tell,
+                    told=self._happened,
                 )
                 for network in networks
             ]
         )
-        self._decisions = Decisions(selection, autopilot=autopilot, journal=journal, send=self._radios.send)
-        self._looks = Background(
-            self._decisions,
+        self._looks = Looks(
+            self.tell,
+            lambda: selection.next_look_s(now_s=now_s()),
             [server.area for server in selection.servers.values() if isinstance(server.area, Circle)],
             period_s=period_s,
             autopilot=autopilot,
             journal=journal,
         )
-        self._calling = Calling(
-            self._decisions,
-            self._radios,
-            onboard,
-            journal,
-            hedging,
-            deadlines=deadlines,
-            before_sending=before_sending,
-        )
-        self._line = CallLine(self._decisions, first=first) if first else None
-        self.server_calls = (
-            ServerCalls(
-                self._decisions,
-                self._calling,
-                self._line,
-                journal,
-                tell=self.tell,
-                reach_s=self._reach_s,
-                most_bytes=waiting_bytes,
-            )
-            if self._line is not None
-            else None
-        )
+        self.server_calls = ServerCalls(self, self._happened, selection.estimates.alone_s) if first else None
+        self._open: dict[Call, _Open] = {}  # with those whose losers go on
+        self._alone = defaultdict[str, asyncio.Lock](
+            asyncio.Lock
+        )  # calls of each service, where deciding has failed
+        self._news = asyncio.Event()  # set and replaced at each event
+        self._looked_at = 0  # the calls, after that many news
+        self._look_due: asyncio.Handle | None = None
+        self._alarm: tuple[float, asyncio.TimerHandle] | None = None
         self._failed = ""  # by what defect
         self._background: asyncio.Task[Any] | None = None
 
@@ -131,39 +165,46 @@ class Offloading:
                 except Exception as error:  # noqa: BLE001 - the mission was flown all the same
                     self._fail(error)
             await end(background)
-            if isinstance(policy := self._decisions.selection.policy, OwnPolicy):
+            if isinstance(policy := self._selection.policy, OwnPolicy):
                 policy.end()
 
     @property
     def link(self) -> tuple[str | None, float | None]:
         """The server in use, and the round-trip time (s) of the last request to its daemon; None if unknown."""
-        current = self._decisions.selection.current
+        current = self._selection.current
         if self._failed or current is None:
             return None, None
         return current.name, self._radios.worker_at(current.name).round_trip_s(current.name)
 
     def outlook(self) -> Outlook | None:
         """What flying on before the open call is over would save and cost; None if nothing is known."""
-        return self._guarded(self._decisions.outlook)
+        return self._ask(lambda: self._selection.outlook(now_s=now_s(), position=self._autopilot.position))
 
     def believed(self, operations: Sequence[Operation]) -> Mapping[str, ServerBelief]:
         """The servers that may compute these operations, and the mean seconds of a call at each."""
-        return self._guarded(lambda: self._decisions.believed(operations)) or {}
+        position = self._autopilot.position
+        return self._ask(lambda: self._selection.believed(operations, now_s=now_s(), position=position)) or {}
 
     def where_to_wait(self, stay: Stay) -> str | None:
         """The server of the range where a resting drone waits for answers; None for where it is."""
-        return self._guarded(lambda: self._decisions.selection.policy.where_to_wait(stay))
+        return self._ask(lambda: self._selection.policy.where_to_wait(stay))
 
     def when_to_act(self, act: LateAct) -> int | None:
         """The number of a gap of the act, where the drone acts then; None for at once."""
-        return self._guarded(lambda: self._decisions.selection.policy.when_to_act(act))
+        return self._ask(lambda: self._selection.policy.when_to_act(act))
 
-    def tell(self, event: SelectionEvent) -> None:
-        """Pass the event to the core, and carry out its commands."""
-        self._guarded(lambda: self._decisions.tell(event))
+    def waiting(self) -> list[Operation]:
+        """The operations of the open calls that only servers compute, the oldest first."""
+        return [call.asked.operation for call in self._open if call.asked.on_servers and not call.is_over]
 
-    def _reach_s(self, operation: Operation) -> float | None:
-        return self._guarded(lambda: self._decisions.reach_s(operation))
+    def reach_s(self, operation: Operation) -> float | None:
+        """Seconds until a server in range answers a call that only servers compute; None where none can."""
+        position = self._autopilot.position
+        return self._ask(lambda: self._selection.reach_s(operation, now_s=now_s(), position=position))
+
+    def tell(self, event: CallEvent | SelectionEvent) -> None:
+        """Pass the event to the core, and carry out its instructions."""
+        self._ask(lambda: self._handle(event, now_s()))
 
     async def invoke(
         self,
@@ -182,31 +223,53 @@ class Offloading:
         Nothing is decided of a method that runs once, so that no defect has it run again. Raises InstanceError only
         when the drone's own service fails too. A call that only servers compute may end without an answer.
         """
-        asked, asked_s, fails = (
-            Invocation(operation, method, request, waypoint=waypoint),
-            now_s(),
-            bool(self._failed),
+        made_s, patience = now_s(), method.patience
+        opened = _Open(method, request, hearing, asyncio.get_running_loop().create_future())
+        asked = Asked(
+            operation,
+            lambda other: len(opened.request_as(other, operation)),
+            waypoint,
+            urgent=urgent,
+            once=method.once,
+            on_servers=patience is not None,
+            within_s=patience.within_s if patience is not None else None,
         )
-        if method.patience is not None:
-            return await self._invoke_at_server(asked, hearing, asked_s, urgent=urgent)
-        while not fails and not method.once:
-            try:
-                async with self._turn(asked, urgent=urgent) as turn:
-                    if not self._failed:
-                        return await self._invoke(asked, turn, hearing, asked_s=asked_s)
-            except Exception as error:
-                if isinstance(error, UpwashError) and not isinstance(error, TransitionError):
-                    raise
-                self._fail(error)
-            fails = True
-        async with self._turn(asked, urgent=urgent) as turn:
-            turn.take(None)
-            return await self._invoke_alone(asked, began_s=asked_s if self._line else now_s())
+        call, listening = Call(asked, is_waited_for=hearing.waits.is_set()), None
+        if asked.on_servers or self._selection.has_two_answers:
+            listening = begin(self._listen(call, hearing))
+        try:
+            if not self._failed:
+                self._open[call] = opened
+                self.tell(steps.Made(call))
+                with contextlib.suppress(_Defect):
+                    return await opened.answer
+            if patience is None:
+                return await self._invoke_alone(asked, opened, made_s)
+            self._journal.record(
+                schema.Unanswered(
+                    waypoint=waypoint,
+                    operation=str(operation),
+                    at_s=made_s,
+                    waited_s=now_s() - made_s,
+                    within_s=asked.within_s,
+                    why=self._failed,
+                )
+            )
+            return NoAnswer(self._failed)
+        finally:
+            if not call.is_over:  # the mission has ended, or deciding has failed
+                self.tell(steps.Abandoned(call))
+                call.is_over = True
+            self._forget(call)
+            await end(listening)
 
-    def _turn(self, asked: Invocation, *, urgent: bool) -> contextlib.AbstractAsyncContextManager[Turn]:
-        if self._line is None:
-            return contextlib.nullcontext(AT_ONCE)
-        return self._line.turn(asked.operation, urgent=urgent, on_drone=asked.method.once)
+    async def _listen(self, call: Call, hearing: Hearing) -> None:
+        """Tell the core when the mission waits for the call, and when it needs no better answer."""
+        await first(hearing.waits.wait(), hearing.enough.wait())
+        if not hearing.enough.is_set():
+            self.tell(steps.Waited(call))
+            await hearing.enough.wait()
+        self.tell(steps.Enough(call))
 
     async def _run(self) -> NoReturn:
         try:
@@ -216,109 +279,220 @@ class Offloading:
                 for worker in self._radios.workers:
                     tasks.create_task(worker.run())
         finally:
-            await self._calling.stop_losers()
+            await self._end_work()
         raise AssertionError("these tasks never end by themselves")
 
     async def _leave(self) -> None:
-        await self._calling.stop_losers()
-        self._decisions.tell(NoMoreCalls())
+        await self._end_work()
+        self.tell(NoMoreCalls())
         await self._radios.done()
 
-    async def _invoke(self, asked: Invocation, turn: Turn, hearing: Hearing, *, asked_s: float) -> Any:
-        began_s = now_s()
-        decision = self._decisions.decide(
-            asked.operation,
-            waypoint=asked.waypoint,
-            on_drone=turn.on_drone,
-            drone_is_busy=turn.drone_is_busy,
-        )
-        call = asked.lighter(decision.inputs.lightened)
-        wait: Literal["", "paid off", "failed"] = ""
-        why = decision.why
-        two = self._decisions.two_answers(call.operation)
-        if isinstance(decision, Wait) and two is None:
-            decision = await self._decisions.wait(call.operation, decision, waypoint=call.waypoint)
-            wait = "paid off" if isinstance(decision, Remote) else "failed"
-            why = f"{why}: {decision.why}"
-        waited_s = now_s() - began_s
-        turn.take(decision)
-        if two is None:
-            answer = await self._calling.answer(decision, call, turn)
-        else:
-            twice = Twice(
-                call.under(two.first), asked_s + two.within_s, hearing, turn, asked_s, call.operation
-            )
-            answer = await self._calling.answer_twice(decision, call, twice)
-        if two is not None:
-            why += _of_two(answer, is_first=answer.call is not call)
-        elif answer.server is None and isinstance(decision, Remote):
-            why = f"{why}; {_lost(answer)} on the drone"
-        elif answer.overtook:
-            why = f"{why}; {answer.server} became of use, and was sooner"
-        if answer.attempt is not None:
-            why += answer.attempt.told_of_sending
-        asked_for: dict[str, Any] = lightened.facts if (lightened := answer.call.lightened) else {}
-        if two is not None and answer.call is not call:
-            asked_for = {"asked": str(call.operation)}
-        self._journal.record(
-            schema.Call(
-                waypoint=call.waypoint,
-                operation=str(answer.call.operation),
-                place=name_of(answer.server),
-                check=answer.attempt.check if answer.attempt is not None else None,
-                decision=why,
-                at_s=asked_s,
-                delay_s=now_s() - asked_s,
-                waited_s=waited_s,
-                onboard_s=answer.onboard_s,
-                wait=wait,
-                fell_back=answer.fell_back,
-                hedged_s=answer.hedged_s,
-                second_s=answer.attempt.second_s if answer.attempt is not None else None,
-                queued_s=began_s - asked_s + answer.queued_s or None,
-                remote_fault=answer.remote_fault,
-                first_s=answer.first_s,
-                **(answer.attempt.facts_of_sending if answer.attempt else {}),
-                **asked_for,
-            )
-        )
-        return answer.reply
+    # --- the core -------------------------------------------------------------------------------------------
 
-    async def _invoke_at_server(
-        self, asked: Invocation, hearing: Hearing, asked_s: float, *, urgent: bool
-    ) -> Any:
-        assert self.server_calls is not None  # noqa: S101 - with such a service there is a line
-        if not self._failed:
+    def _handle(self, event: CallEvent | SelectionEvent, at_s: float) -> None:
+        told = self._calls.told
+        for step in self._calls.handle(event, now_s=at_s, position=self._autopilot.position):
+            self._perform(step)
+        if self._calls.told > told:  # so that the next look may have moved
+            self._looks.set_alarm()
+        if self._calls.news > self._looked_at and self._look_due is None:
+            self._news.set()
+            self._news = asyncio.Event()
+            self._look_due = asyncio.get_running_loop().call_soon(self._look_at_calls)
+        self._set_alarm()
+
+    def _look_at_calls(self, at_s: float = 0.0) -> None:
+        self._look_due, self._looked_at = None, self._calls.news
+        self._ask(lambda: self._handle(steps.News(), max(at_s, now_s())))
+
+    def _set_alarm(self) -> None:
+        """Look at the calls when the next of their times is over."""
+        due_s, loop = self._calls.due_s, asyncio.get_running_loop()
+        if self._alarm is not None and self._alarm[0] == due_s:
+            return
+        if self._alarm is not None:
+            self._alarm[1].cancel()
+        self._alarm = None
+        if due_s < float("inf"):
+            self._alarm = due_s, loop.call_at(due_s, self._ring, due_s)
+
+    def _ring(self, due_s: float) -> None:
+        self._alarm = None
+        self._ask(lambda: self._handle(steps.News(), max(due_s, now_s())))
+
+    async def _happened(self) -> None:
+        """Return after the next event of the core."""
+        await self._news.wait()
+
+    def _perform(self, step: Instruction) -> None:
+        match step:
+            case Event():
+                self._journal.record(step)
+            case steps.Reduce(attempt) | steps.Send(attempt) | steps.Cut(attempt) | steps.Deny(attempt):
+                self._visit(step, attempt)
+            case steps.Compute(computing):
+                self._work(computing, lambda: self._compute(step))
+            case steps.Stop(work):
+                if (task := self._open[work.call].tasks.get(work)) is not None:
+                    task.cancel()
+            case steps.Hear(computing, delay_s):
+                opened = self._open[computing.call]
+                opened.hearing.hear(opened.replies[computing], computing.operation, delay_s)
+            case steps.Answer(call, source):
+                self._answer(call, self._open[call].replies[source])
+            case steps.NoAnswer(call, why):
+                self._answer(call, NoAnswer(why))
+            case steps.LookAgain():
+                self._looks.again.set()
+            case _:
+                self._radios.send(step)
+
+    def _answer(self, call: Call, reply: Any) -> None:
+        answer = self._open[call].answer
+        if answer.done():  # the mission has ended in the call
+            return
+        if isinstance(reply, Exception):
+            answer.set_exception(reply)
+        else:
+            answer.set_result(reply)
+
+    # --- what it does ---------------------------------------------------------------------------------------
+
+    def _visit(self, step: steps.Reduce | steps.Send | steps.Cut | steps.Deny, attempt: Attempt) -> None:
+        """Do that at the attempt's server, by the session that it began in: later the radio may be elsewhere."""
+        visits = self._open[attempt.call].visits
+        if attempt not in visits:
+            worker = self._radios.worker_at(attempt.server)
+            assert worker.session is not None  # noqa: S101 - a server is READY only by its session
+            visits[attempt] = worker, worker.session
+        worker, session = visits[attempt]
+        match step:
+            case steps.Reduce():
+                self._work(attempt, lambda: self._reduce(attempt))
+            case steps.Send():
+                self._work(attempt, lambda: self._send(step, session))
+            case steps.Cut(_, cut):
+                worker.cut = cut
+            case steps.Deny():
+                session.deny(attempt.operation.service)
+
+    def _work(self, work: Work, doing: Callable[[], Coroutine[Any, Any, CallEvent]]) -> None:
+        """Do it beside the mission, and tell the core what has come of it."""
+        opened = self._open[work.call]
+
+        async def do() -> None:
             try:
-                return await self.server_calls.answer(asked, hearing, urgent=urgent)
+                event = await doing()
             except Exception as error:  # noqa: BLE001 - whatever it is, the drone flies on
                 self._fail(error)
-        return self.server_calls.unanswered(asked, self._failed, asked_s)
+            else:
+                self.tell(event)
 
-    async def _invoke_alone(self, asked: Invocation, *, began_s: float) -> Any:
-        """Run a call on the drone and decide nothing: where deciding has failed, or the method runs once."""
-        await self._calling.queue(asked.operation.service)
-        queued_s = now_s() - began_s
-        reply = await self._calling.onboard(asked)
-        delay_s = now_s() - began_s
+        def ended(task: asyncio.Task[None]) -> None:
+            if opened.tasks.get(work) is task:
+                del opened.tasks[work]
+            self._forget(work.call)
+
+        task = opened.tasks[work] = begin(do())
+        task.add_done_callback(ended)
+
+    def _forget(self, call: Call) -> None:
+        """Forget a call that is over, once nothing goes on for it."""
+        opened = self._open.get(call)
+        if opened is not None and call.is_over and not opened.tasks:
+            del self._open[call]
+
+    async def _end_work(self) -> None:
+        await end(*(task for opened in self._open.values() for task in opened.tasks.values()))
+
+    async def _reduce(self, attempt: Attempt) -> steps.Reduced:
+        opened = self._open[attempt.call]
+        request = opened.request_of(attempt)
+        try:
+            smaller = await self._before_sending.reduce(
+                attempt.operation.service, opened.method, request, deadline_s=attempt.deadline_s
+            )
+        except NotReduced as error:
+            return steps.Reduced(attempt, len(request), is_less=False, why=str(error))
+        opened.smaller[attempt] = smaller
+        return steps.Reduced(attempt, len(smaller), is_less=smaller is not request)
+
+    async def _send(self, send: steps.Send, session: ServerSession) -> CallEvent:
+        attempt, opened = send.attempt, self._open[send.attempt.call]
+        operation = attempt.operation
+        try:
+            answer = await session.call(
+                operation.service,
+                operation.method,
+                opened.smaller.get(attempt) or opened.request_of(attempt),
+                deadline_s=send.deadline_s,
+                may_queue_s=send.may_queue_s,
+            )
+            reply = opened.replies[attempt] = opened.method.decode(answer)
+        except NotBegun as told:
+            return steps.NotBegun(attempt, str(told), told.queue_s)
+        except NoLease as error:
+            return steps.SlotLost(attempt, str(error))
+        except LinkError as error:
+            is_cut, is_unreached = isinstance(error, DeadlineExceeded), isinstance(error, UNREACHED)
+            return steps.Failed(attempt, str(error), cut=is_cut, unreached=is_unreached)
+        raised, size_bytes = opened.method.raised(reply), len(answer)
+        if isinstance(answer, Reply):
+            return steps.Replied(attempt, size_bytes, raised, answer.queued_s, answer.queue_s)
+        return steps.Replied(attempt, size_bytes, raised)
+
+    async def _compute(self, compute: steps.Compute) -> steps.Computed:
+        computing, opened = compute.computing, self._open[compute.computing.call]
+        try:
+            reply = await self._onboard_reply(
+                opened.method, computing.operation, opened.request_of(computing), compute.timeout_s
+            )
+        except TransitionError:
+            raise
+        except UpwashError as error:
+            opened.replies[computing] = error
+            return steps.Computed(computing, failed=True)
+        opened.replies[computing] = reply
+        return steps.Computed(computing, opened.method.raised(reply))
+
+    async def _onboard_reply(
+        self, method: Method, operation: Operation, request: bytes, timeout_s: float
+    ) -> Any:
+        return method.decode(
+            await self._onboard.call(
+                operation.service, operation.method, request, timeout_s=timeout_s, once=method.once
+            )
+        )
+
+    # --- without the core -----------------------------------------------------------------------------------
+
+    async def _invoke_alone(self, asked: Asked, opened: _Open, made_s: float) -> Any:
+        """Run a call on the drone and decide nothing, where deciding has failed."""
+        operation = asked.operation
+        async with self._alone[operation.service]:
+            began_s = now_s()
+            expected_s = self._selection.estimates.local_s(operation) or 0.0
+            timeout_s = max(_LOCAL_LEAST_S, _LOCAL_FACTOR * expected_s)
+            reply = await self._onboard_reply(opened.method, operation, opened.request, timeout_s)
         self._journal.record(
             schema.Call(
                 waypoint=asked.waypoint,
-                operation=str(asked.operation),
+                operation=str(operation),
                 place=ON_DRONE,
-                decision="it runs once, and on the drone" if asked.method.once else self._failed,
-                at_s=began_s,
-                delay_s=delay_s,
+                decision=self._failed,
+                at_s=made_s,
+                delay_s=now_s() - made_s,
                 waited_s=0.0,
-                onboard_s=delay_s - queued_s,
+                onboard_s=now_s() - began_s,
                 wait="",
                 fell_back=False,
-                queued_s=queued_s or None,
+                queued_s=began_s - made_s or None,
             )
         )
         return reply
 
-    def _guarded(self, do: Callable[[], T]) -> T | None:
+    def _ask(self, do: Callable[[], T]) -> T | None:
+        """What the core says; None once deciding has failed."""
         if not self._failed:
             try:
                 return do()
@@ -334,23 +508,17 @@ class Offloading:
             defect = defect.exceptions[0]
         why = worded(defect)
         self._failed = f"offloading has failed: {printable(why)}"
-        if self._line is not None:
-            self._line.keep_on_drone()
-        if self.server_calls is not None:
-            self.server_calls.end(self._failed)
         if self._background is not None:
             self._background.cancel()
         trace = "".join(traceback.format_exception(error))
         self._journal.record(schema.OffloadingFailed(why=why, trace=trace))
+        for opened in self._open.values():
+            for task in opened.tasks.values():
+                task.cancel()
+            if not opened.answer.done():
+                opened.answer.set_exception(_Defect())
 
 
-def _of_two(answer: CallAnswer, *, is_first: bool) -> str:
-    if is_first:
-        return "; the first answer counts, as no better one came"
-    return "" if answer.first_s is None else f"; the better answer, of {answer.server}"
-
-
-def _lost(answer: CallAnswer) -> str:
-    if answer.remote_fault:
-        return f"it raised there, which was {answer.remote_fault}"
-    return "no usable answer, so" if answer.fell_back else "late, and sooner"
+def now_s() -> float:
+    """The time of the running event loop, in seconds."""
+    return asyncio.get_running_loop().time()

@@ -30,6 +30,7 @@ from upwash.core.policies.policy import (
     Decision,
     Local,
     Policy,
+    PolicyDefect,
     Remote,
     Situation,
     Wait,
@@ -46,10 +47,6 @@ _LONGEST_S = 3600.0
 _PROGRAM = "upwash.drone.policy_program"
 _ANSWERS: msgspec.msgpack.Decoder[Answer] = msgspec.msgpack.Decoder(Answer)
 _encoded = msgspec.msgpack.Encoder().encode
-
-
-class PolicyDefect(Exception):
-    """Raised for an own policy that raises, does not answer, or answers what cannot be."""
 
 
 class _Raised(Exception):

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, cast
 
 from upwash.config import DroneConfig
 from upwash.core.policies.policy import Policy
-from upwash.drone.decisions import now_s
+from upwash.drone.offloading import now_s
 from upwash.drone.own_policy import policy_of
 from upwash.lab.run import Run, simulate
 from upwash.sim.loop import end_run

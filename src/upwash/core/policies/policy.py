@@ -22,6 +22,10 @@ from upwash.core.planning.earliest import Line, Take, earliest
 from upwash.core.planning.forecast import Forecast
 
 
+class PolicyDefect(Exception):
+    """Raised for an own policy that raises, does not answer, or answers what cannot be; offloading ends with it."""
+
+
 class Option(Struct, frozen=True):
     """A server in range that may be used, the mean delay of calls with it ready, and whether it has no free slot.
 

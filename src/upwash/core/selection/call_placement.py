@@ -24,7 +24,7 @@ from upwash.core.knowledge.servers import CHECKING, Server, State
 from upwash.core.operation import ON_DRONE, Operation
 from upwash.core.planning.earliest import Lane, Line, WaitingCall
 from upwash.core.policies.policy import CallInputs, Decision, Inputs, Local, Policy, Remote, Wait
-from upwash.core.selection.commands import Effect
+from upwash.core.selection.commands import Move
 from upwash.core.selection.lanes import InLine, Lanes
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import Recovery
@@ -132,7 +132,7 @@ class CallPlacement:
         *,
         on_drone: bool = False,
         drone_is_busy: bool = False,
-    ) -> tuple[Decision, list[Effect]]:
+    ) -> tuple[Decision, list[Move]]:
         """Decide where a call made now runs; leave the server in use if it is out of range.
 
         With `on_drone` the drone takes the call out of the line. A call with two answers runs at both places where
@@ -271,7 +271,7 @@ class CallPlacement:
 
     def decide_after_wait(
         self, operation: Operation, check: int, now_s: float
-    ) -> tuple[Decision, list[Effect]]:
+    ) -> tuple[Decision, list[Move]]:
         """Decide where a call runs after its wait for that check; never another Wait."""
         server = self._radios.in_use
         if server is None or server.check != check:

@@ -1,14 +1,12 @@
-"""What `Selection` returns: commands for the radios, and changes for the log."""
+"""What `Selection` returns: commands for the radios, and events for the log."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from msgspec import Struct
 
-from upwash.core.knowledge.coverage import MeasuredPlace
 from upwash.core.knowledge.servers import Change
 from upwash.core.selection.recovery import Probing
+from upwash.eventlog.schema import Event
 
 
 class Leave(Struct, frozen=True):
@@ -63,49 +61,6 @@ class Prepare(Struct, frozen=True):
     hold_s: float
 
 
-class Full(Struct, frozen=True):
-    """For the log: the server has no slot for the drone, and `waiting` drones queue; the drone goes on asking."""
-
-    server: str
-    check: int
-    waiting: int
-
-
-class ServerPaused(Struct, frozen=True):
-    """For the log: the server is not used for `pause_s`, because a service keeps failing there."""
-
-    server: str
-    check: int
-    pause_s: float
-    why: str
-
-
-class Preferred(Struct, frozen=True):
-    """For the log: calls go first to this server from now on; the other READY server is kept."""
-
-    server: str
-    check: int
-    why: str
-
-
-class ExpectedTimes(Struct, frozen=True):
-    """For the log: the expected times (s after arming) at each waypoint and of the mission's end, calls as asked for.
-
-    `lightest_s` is the end with every call lighter, if the mission has a `finish_by_s`.
-    """
-
-    reached_s: Sequence[float]
-    as_asked_s: float
-    lightest_s: float | None = None
-    finish_by_s: float | None = None
-
-
-class Mapped(Struct, frozen=True):
-    """For the log: the measurements of a server at a place."""
-
-    server: str
-    place: MeasuredPlace
-
-
 Command = Check | Probe | Start | Prepare | Leave
-Effect = Change | Full | ServerPaused | Preferred | ExpectedTimes | Mapped | Command
+Effect = Event | Command
+Move = Change | Effect  # inside the selection: a change becomes an event, with the estimates of its moment

@@ -30,10 +30,10 @@ from upwash.core.planning.legs import Pace
 from upwash.core.planning.mission_model import CallClock, ExpectedCall, MissionBeliefs, MissionModel
 from upwash.core.policies.policy import Lightened
 from upwash.core.selection.call_forecast import CallPlace
-from upwash.core.selection.commands import ExpectedTimes
 from upwash.core.selection.server_planning import ServerPlanning
 from upwash.core.selection.settings import LighterSettings, SelectionSettings
 from upwash.core.vehicle.way_home import UNKNOWN, EnergyFacts, descent_s
+from upwash.eventlog.schema import Foreseen
 
 
 def is_lighter(saves_s: float, others_save_s: Iterable[float], late_s: float) -> bool:
@@ -113,7 +113,7 @@ class Timetable:
 
     def begin(
         self, vehicle: EnergyFacts, found: Pace | None, *, now_s: float, position: Position
-    ) -> ExpectedTimes | None:
+    ) -> Foreseen | None:
         """The expected times of the mission, which begins now; None if no waypoint or no call is known."""
         if not self._beliefs.plan:
             return None
@@ -140,11 +140,16 @@ class Timetable:
         reached_s, as_asked_s = self._times(calls, now_s, takeoff_s)
         settings = self._settings.lighter
         if settings is None:
-            return ExpectedTimes(reached_s, as_asked_s)
+            return Foreseen(reached_s=reached_s, as_asked_s=as_asked_s)
         of = settings.operations
         lighter = [structs.replace(call, operation=of.get(call.operation, call.operation)) for call in calls]
         _, lightest_s = self._times(lighter, now_s, takeoff_s)
-        return ExpectedTimes(reached_s, as_asked_s, lightest_s, settings.finish_by_s)
+        return Foreseen(
+            reached_s=reached_s,
+            as_asked_s=as_asked_s,
+            lightest_s=lightest_s,
+            finish_by_s=settings.finish_by_s,
+        )
 
     def _times(
         self, calls: Sequence[ExpectedCall], now_s: float, takeoff_s: float
@@ -156,7 +161,7 @@ class Timetable:
         for number, (call, place) in enumerate(zip(calls, placing.places(calls), strict=True)):
             clock.begin(call)
             if number % len(stop) == 0:
-                reached_s.append(clock.reached_s - (0.0 if call.hides else stop[0].pause_s))
+                reached_s.append(round(clock.reached_s - (0.0 if call.hides else stop[0].pause_s), 1))
             clock.end(placing.delay_s(place, call))
         over_s = clock.at_s
         if self.leaving_s:  # while the last answers come

@@ -34,9 +34,10 @@ from dataclasses import dataclass, field
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import SELECTED, Server, ServerTable, State, Trigger
 from upwash.core.operation import Operation
-from upwash.core.selection.commands import Check, Effect, Leave, Preferred, Probe, Start
+from upwash.core.selection.commands import Check, Leave, Move, Probe, Start
 from upwash.core.selection.recovery import REST_S, Recovery
 from upwash.core.selection.settings import SelectionSettings
+from upwash.eventlog import schema
 
 _CHECK_LEAST_S = 10.0
 _CHECK_FACTOR = 3.0  # times the estimate: a check that takes longer has failed
@@ -87,7 +88,7 @@ class Radios:
             None,
         )
 
-    def use(self, server: Server, why: str, now_s: float, *, keep: bool) -> list[Effect]:
+    def use(self, server: Server, why: str, now_s: float, *, keep: bool) -> list[Move]:
         """Use the server from now on.
 
         With a spare radio and `keep`, the former server stays in use until the new server is READY.
@@ -100,7 +101,7 @@ class Radios:
         effects = self._replace([other for other in self.selected if other is not server], server, why, now_s)
         return effects if self.selected else effects + self._check(server, why, now_s)
 
-    def prepare(self, server: Server, why: str, now_s: float) -> list[Effect]:
+    def prepare(self, server: Server, why: str, now_s: float) -> list[Move]:
         """Check the server with a spare radio; leave the server that this radio prepared before."""
         if not self.has_spare or server in self.selected or server.state is State.BLACKLISTED:
             return []
@@ -109,7 +110,7 @@ class Radios:
         effects = self._replace(self.selected[1:], server, why, now_s)
         return effects + self._check(server, why, now_s)
 
-    def start(self) -> list[Effect]:
+    def start(self) -> list[Move]:
         """Ask the selected servers that were found stopped to start the services, once in a check."""
         stopped = [
             server
@@ -120,14 +121,14 @@ class Radios:
             server.start_requested = True
         return [Start(server.name, server.check, self.limit_s(server, running=False)) for server in stopped]
 
-    def prefer(self, server: Server, why: str) -> list[Effect]:
+    def prefer(self, server: Server, why: str) -> list[Move]:
         """Use a server that is READY in preparation, and keep the one in use as the one in preparation."""
         if server not in self.selected[1:] or server.state is not State.READY:
             return []
         self.selected.reverse()
-        return [Preferred(server.name, server.check, why)]
+        return [schema.Preferred(server=server.name, check=server.check, why=why)]
 
-    def ask_again(self, server: Server, why: str, now_s: float) -> list[Effect]:
+    def ask_again(self, server: Server, why: str, now_s: float) -> list[Move]:
         """Ask a READY server for a new slot, as the drone's turn there is over; the radio stays."""
         server.check = self._next_number()
         server.joined_before = True
@@ -135,7 +136,7 @@ class Radios:
         change = server.apply(Trigger.TURN_OVER, now_s=now_s, why=why)
         return [change, Check(server.name, server.check, self.limit_s(server, running=True))]
 
-    def leave(self, server: Server, why: str, now_s: float) -> list[Effect]:
+    def leave(self, server: Server, why: str, now_s: float) -> list[Move]:
         """Leave a server in use or in preparation that has not failed."""
         self.selected.remove(server)
         return [server.deselect(now_s=now_s, why=why), Leave(server.name, server.check)]
@@ -149,7 +150,7 @@ class Radios:
         *,
         operations: Iterable[Operation],
         pause_s: float = 0.0,
-    ) -> list[Effect]:
+    ) -> list[Move]:
         """Blacklist a server in use or in preparation; with probing its radio stays there.
 
         The operations are in doubt there from now on. With a `pause_s` the server is not probed for that time.
@@ -166,14 +167,14 @@ class Radios:
             return [change, *self.leave_out(server, pause_s, now_s)]
         return [change, self._probe(server, self._recovery, now_s)]
 
-    def leave_out(self, server: Server, pause_s: float, now_s: float) -> list[Effect]:
+    def leave_out(self, server: Server, pause_s: float, now_s: float) -> list[Move]:
         """Leave a blacklisted server, and do not probe it for its pause."""
         server.leave_out(pause_s, now_s)
         if server in self.probed:
             self.probed.remove(server)
         return [Leave(server.name, server.check)]
 
-    def probe(self, now_s: float) -> list[Effect]:
+    def probe(self, now_s: float) -> list[Move]:
         """Probe failed servers in range, as far as radios are free."""
         if self._recovery is None:
             return []
@@ -187,7 +188,7 @@ class Radios:
         recovery = self._recovery
         return [self._probe(server, recovery, now_s) for server in failed[: max(0, self._free)]]
 
-    def end_probes(self, servers: Sequence[Server]) -> list[Effect]:
+    def end_probes(self, servers: Sequence[Server]) -> list[Move]:
         """End the probes of these servers, and leave their networks."""
         for server in servers:
             self.probed.remove(server)
@@ -203,10 +204,10 @@ class Radios:
     def _free(self) -> int:
         return self._settings.radios - len(self.selected) - len(self.probed)
 
-    def _replace(self, others: Sequence[Server], server: Server, why: str, now_s: float) -> list[Effect]:
+    def _replace(self, others: Sequence[Server], server: Server, why: str, now_s: float) -> list[Move]:
         return [effect for other in others for effect in self.leave(other, f"{server.name} {why}", now_s)]
 
-    def _check(self, server: Server, why: str, now_s: float) -> list[Effect]:
+    def _check(self, server: Server, why: str, now_s: float) -> list[Move]:
         server.check = self._next_number()
         server.joined_before = server in self.probed
         if server.joined_before:

@@ -39,7 +39,7 @@ from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import Choice, Decision, Lightened, Local, Policy, Remote
 from upwash.core.selection import events
 from upwash.core.selection.call_placement import CallPlacement, Place
-from upwash.core.selection.commands import Effect, Full, Mapped, ServerPaused
+from upwash.core.selection.commands import Effect, Move
 from upwash.core.selection.events import SelectionEvent
 from upwash.core.selection.lanes import InLine, Lanes
 from upwash.core.selection.mission_times import Lighter, Timetable
@@ -47,6 +47,8 @@ from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import Recovery
 from upwash.core.selection.server_planning import ServerPlanning
 from upwash.core.selection.settings import SelectionSettings, TwoAnswers
+from upwash.eventlog import schema
+from upwash.eventlog.schema import Event, MeasuredRecord
 
 _READY = frozenset({State.READY})
 _LEAST_QUEUE_S = 1.0  # of a server that did not begin a call, which is not asked again at once
@@ -116,7 +118,7 @@ class Selection:
         return server is not None and not server.refused
 
     def handle(self, event: SelectionEvent, *, now_s: float, position: Position) -> list[Effect]:
-        """Take in an event, with the drone at the position; return commands and changes in their order."""
+        """Take in an event, with the drone at the position; return commands and events of the log in their order."""
         table, radios, planning = self._table, self._radios, self._planning
         if isinstance(event, events.MissionBegun):
             planning.mission.begun(event.pace)
@@ -140,7 +142,24 @@ class Selection:
         )
         if not self._unneeded:
             effects += radios.probe(now_s)
-        return effects
+        return self._told(effects, position)
+
+    def _told(self, effects: Sequence[Move], position: Position) -> list[Effect]:
+        """The effects, with each change as the log has it: with the mean delays that are expected at this moment."""
+        return [self._step(effect, position) if isinstance(effect, Change) else effect for effect in effects]
+
+    def _step(self, change: Change, position: Position) -> Event:
+        estimates = self.estimates
+        return schema.STEPS[change.event](
+            server=change.server,
+            before=change.before,
+            after=change.after,
+            why=change.why,
+            check=change.check,
+            local_mean_call_s=estimates.mean_call_s(),
+            mean_call_s={server.name: estimates.mean_call_s(server.name) for server in self.in_range},
+            position=position,
+        )
 
     def next_look_s(self, *, now_s: float) -> float:
         """The time before which a `Tick` changes nothing, unless an event or a crossed border comes first."""
@@ -152,6 +171,11 @@ class Selection:
         """The call to be decided now, of those in line, and where; None while all wait for a place."""
         self._locate(position, now_s)
         return self._placement.next_in_line(now_s)
+
+    @property
+    def has_two_answers(self) -> bool:
+        """Whether calls may have two answers."""
+        return bool(self._settings.two_answers)
 
     def two_answers(self, operation: Operation) -> TwoAnswers | None:
         """What the drone computes at once of a call with two answers; None for a call with one."""
@@ -185,7 +209,7 @@ class Selection:
         self._planning.decided(decision, operation, now_s)
         if lightened is not None:
             decision = replace(decision, inputs=structs.replace(decision.inputs, lightened=lightened))
-        return decision, effects
+        return decision, self._told(effects, position)
 
     def fall_back(self, operation: Operation, *, now_s: float, position: Position) -> Lightened | None:
         """The lighter operation of a call that the drone computes after its server failed; None: as asked."""
@@ -204,7 +228,7 @@ class Selection:
         self._locate(position, now_s)
         decision, effects = self._placement.decide_after_wait(operation, check, now_s)
         self._planning.decided(decision, operation, now_s)
-        return decision, effects
+        return decision, self._told(effects, position)
 
     def overtake(
         self, operation: Operation, *, began_s: float, now_s: float, position: Position
@@ -271,7 +295,7 @@ class Selection:
 
     # --- what arrives ---------------------------------------------------------------------------------------
 
-    def _take_in(self, event: SelectionEvent, now_s: float, position: Position) -> list[Effect]:  # noqa: PLR0912, PLR0915
+    def _take_in(self, event: SelectionEvent, now_s: float, position: Position) -> list[Move]:  # noqa: PLR0912, PLR0915
         """Learn from the event; return its own effects. The policy decides afterwards."""
         match event:
             # What the radios report concerns the mission only once a server changes its state.
@@ -358,7 +382,7 @@ class Selection:
         self._planning.changed = True
         return []
 
-    def _check_answered(self, answer: events.CheckAnswered, now_s: float) -> list[Effect]:
+    def _check_answered(self, answer: events.CheckAnswered, now_s: float) -> list[Move]:
         server = self._radios.selected_by(answer.check, CHECKING)
         if server is None:
             return []
@@ -370,15 +394,15 @@ class Selection:
         server.found_stopped = True
         return [server.apply(Trigger.FOUND_STOPPED, now_s=now_s)] if server.state is State.CHECK_R else []
 
-    def _slot_refused(self, check: int, waiting: int, now_s: float) -> list[Effect]:
+    def _slot_refused(self, check: int, waiting: int, now_s: float) -> list[Move]:
         server = self._radios.selected_by(check, CHECKING)
         if server is None:
             return []
         is_news, server.refused = not server.refused, True
         server.full_s = server.contended_s = now_s
-        return [Full(server.name, check, waiting)] if is_news else []
+        return [schema.NoSlot(server=server.name, check=check, waiting=waiting)] if is_news else []
 
-    def _turn_over(self, event: events.SlotTaken, now_s: float) -> list[Effect]:
+    def _turn_over(self, event: events.SlotTaken, now_s: float) -> list[Move]:
         server = self._radios.selected_by(event.check, _READY)
         if server is None:  # it was left since
             return []
@@ -396,13 +420,15 @@ class Selection:
 
     def _probe_answered(
         self, answer: events.ProbeAnswered | events.ProbePaused, now_s: float
-    ) -> list[Effect]:
+    ) -> list[Move]:
         server = self._radios.probed_by(answer.check)
         if server is None:
             return []
         if isinstance(answer, events.ProbePaused):
-            paused = ServerPaused(server.name, answer.check, answer.pause_s, answer.why)
-            return [paused, *self._radios.leave_out(server, answer.pause_s, now_s)]
+            return [
+                _left_out(server, answer.pause_s, answer.why),
+                *self._radios.leave_out(server, answer.pause_s, now_s),
+            ]
         trigger = Trigger.PROBED_RUNNING if answer.running else Trigger.PROBED
         return [server.apply(trigger, now_s=now_s, why="it gives a sign of life")]
 
@@ -418,7 +444,7 @@ class Selection:
             )
         return change
 
-    def _prepared(self, server: Server, by: str, now_s: float) -> list[Effect]:
+    def _prepared(self, server: Server, by: str, now_s: float) -> list[Move]:
         if server.state not in (State.AVL, State.AVL_R):
             return []
         self.estimates.services_started(server.name)
@@ -435,18 +461,18 @@ class Selection:
         now_s: float,
         *,
         pause_s: float = 0.0,
-    ) -> list[Effect]:
+    ) -> list[Move]:
         server = self._radios.selected_by(check, states)
         if server is None:
             return []
         if not server.in_range:  # the server did nothing wrong
             return self._radios.leave(server, "out of range", now_s)
-        paused = [ServerPaused(server.name, check, pause_s, why)] if pause_s else []
+        paused = [_left_out(server, pause_s, why)] if pause_s else []
         return paused + self._radios.fail(
             server, trigger, why, now_s, operations=self.estimates.operations, pause_s=pause_s
         )
 
-    def _call_failed(self, name: str, check: int, why: str, now_s: float) -> list[Effect]:
+    def _call_failed(self, name: str, check: int, why: str, now_s: float) -> list[Move]:
         if self._recovery is not None:
             self._recovery.trial_over(name)
         server = self._radios.selected_by(check, _READY)
@@ -472,7 +498,7 @@ class Selection:
         self.servers[name].turns_lost = 0
         self.estimates.observe_remote(name, operation, delay_s, now_s=now_s, late=late, less=less)
 
-    def _probed_in_vain(self, check: int, position: Position) -> list[Effect]:
+    def _probed_in_vain(self, check: int, position: Position) -> list[Move]:
         """Record a probe without an answer, once for each place."""
         server, coverage = self._radios.probed_by(check), self.estimates.coverage
         if server is None or coverage is None or server.name not in coverage.servers:
@@ -483,15 +509,15 @@ class Selection:
         place = coverage.asked(server.name, position, answered=False)
         self._probed_at[server.name] = place
         self._planning.changed = True
-        return [Mapped(server.name, place)]
+        return [_measured(server.name, place)]
 
-    def _asked(self, check: int, position: Position, *, answered: bool) -> list[Effect]:
+    def _asked(self, check: int, position: Position, *, answered: bool) -> list[Move]:
         server, coverage = self._radios.selected_by(check), self.estimates.coverage
         if server is None or coverage is None or server.name not in coverage.servers:
             return []
-        return [Mapped(server.name, coverage.asked(server.name, position, answered=answered))]
+        return [_measured(server.name, coverage.asked(server.name, position, answered=answered))]
 
-    def _reached(self, event: events.Reached) -> list[Effect]:
+    def _reached(self, event: events.Reached) -> list[Move]:
         """Record the delay of the call at its place; a failed call counts the drone's own computing too."""
         coverage = self.estimates.coverage
         if coverage is None:
@@ -505,15 +531,15 @@ class Selection:
         if event.less:
             came_to_s = self.estimates.as_whole_s(event.server, event.operation, came_to_s)
         place.note(event.operation, came_to_s)
-        return [Mapped(event.server, place)]
+        return [_measured(event.server, place)]
 
     # --- which server now? ----------------------------------------------------------------------------------
 
-    def _select(self, now_s: float, position: Position) -> list[Effect]:
+    def _select(self, now_s: float, position: Position) -> list[Move]:
         radios, planning = self._radios, self._planning
         planning.changed, radios.put_off_until_s = False, math.inf
         choice = Choice(None, self._unneeded) if self._unneeded else planning.choose(now_s, position)
-        effects: list[Effect] = []
+        effects: list[Move] = []
         for server in [server for server in radios.selected if not server.in_range]:
             effects += radios.leave(server, "out of range", now_s)
         if choice.server is None:
@@ -544,3 +570,11 @@ class Selection:
             and self.estimates.mean_call_s(server.name) < self.estimates.mean_call_s()
             and self._planning.is_worth_a_slot(server, now_s)
         )
+
+
+def _left_out(server: Server, pause_s: float, why: str) -> Event:
+    return schema.LeftOut(server=server.name, check=server.check, pause_s=pause_s, why=why)
+
+
+def _measured(server: str, place: MeasuredPlace) -> Event:
+    return schema.PlaceMeasured(server=server, place=MeasuredRecord.of(place))

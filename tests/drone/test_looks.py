@@ -9,7 +9,7 @@ from typing import Any
 
 from upwash.core.geo import Circle
 from upwash.core.selection.events import Tick
-from upwash.drone.decisions import Background
+from upwash.drone.looks import Looks
 from upwash.errors import AutopilotLost
 from upwash.eventlog import schema
 from upwash.sim.loop import run_virtually
@@ -18,25 +18,22 @@ PERIOD_S = 2.0
 
 
 class Field:
-    """The decisions, the vehicle and the journal."""
+    """The core, the vehicle and the journal."""
 
     def __init__(self) -> None:
-        self.server_left = asyncio.Event()
-        self.looked_after: Callable[[], None] = lambda: None
         self.next_s = math.inf
         self.ticks_s: list[float] = []
         self.silences_s: list[float] = []
         self.borders: asyncio.Queue[Exception | None] = asyncio.Queue()
         this: Any = self
-        self.background = Background(this, [], period_s=PERIOD_S, autopilot=this, journal=this)
+        self.looks = Looks(
+            self.tell, lambda: self.next_s, [], period_s=PERIOD_S, autopilot=this, journal=this
+        )
 
     def tell(self, event: object) -> None:
         assert event == Tick()
         self.ticks_s.append(now_s())
-        self.looked_after()
-
-    def next_look_s(self) -> float:
-        return self.next_s
+        self.looks.set_alarm()
 
     async def border_crossed(self, areas: Sequence[Circle]) -> None:
         if (error := await self.borders.get()) is not None:
@@ -55,8 +52,8 @@ def run(story: Callable[[Field], Awaitable[None]]) -> None:
     async def both() -> None:
         field = Field()
         tasks = [
-            asyncio.create_task(field.background.look()),
-            asyncio.create_task(field.background.watch_borders()),
+            asyncio.create_task(field.looks.look()),
+            asyncio.create_task(field.looks.watch_borders()),
         ]
         await asyncio.sleep(0.5)
         await story(field)
@@ -73,12 +70,12 @@ def test_it_looks_at_the_end_of_the_period_in_which_something_can_change() -> No
         await asyncio.sleep(100.0)
         assert field.ticks_s == [0.0], "nothing can change"
         field.next_s = 105.3
-        field.looked_after()
+        field.looks.set_alarm()
         await asyncio.sleep(10.0)
         assert field.ticks_s[:2] == [0.0, 106.0]
         assert field.ticks_s[2:] == [108.0, 110.0], "what can change already has each period"
         field.next_s = math.inf
-        field.looked_after()
+        field.looks.set_alarm()
         await asyncio.sleep(10.0)
         assert len(field.ticks_s) == 4
 
@@ -87,10 +84,10 @@ def test_it_looks_at_the_end_of_the_period_in_which_something_can_change() -> No
 
 def test_it_looks_at_once_after_a_server_was_left() -> None:
     async def story(field: Field) -> None:
-        field.server_left.set()
+        field.looks.again.set()
         await asyncio.sleep(0.1)
         field.next_s = 1.0
-        field.looked_after()
+        field.looks.set_alarm()
         await asyncio.sleep(2.0)
         assert field.ticks_s == [0.0, 0.5, 2.5], "periods count from the last look"
 

@@ -1,0 +1,100 @@
+"""The looks at the servers: once a period, and at each border of a range; none while nothing can have changed."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Sequence
+from typing import NoReturn
+
+from upwash.core.geo import Circle
+from upwash.core.selection.events import Tick
+from upwash.errors import AutopilotLost
+from upwash.eventlog import schema
+from upwash.ports import Journal, Whereabouts
+
+_ROUNDING_S = 1e-6  # a look may be early by this, rather than late by a period
+
+
+class Looks:
+    """Has the core consider servers again and again, until its tasks are cancelled.
+
+    `tick` does that; `next_look_s` returns the time before which nothing can have changed, unless something happens.
+    """
+
+    def __init__(
+        self,
+        tick: Callable[[Tick], object],
+        next_look_s: Callable[[], float],
+        areas: Sequence[Circle],
+        *,
+        period_s: float,
+        autopilot: Whereabouts,
+        journal: Journal,
+    ) -> None:
+        self.again = asyncio.Event()  # at once, as after a decision on a call that left a server
+        self._tick = tick
+        self._next_look_s = next_look_s
+        self._areas = areas
+        self._is_looking = False
+        self._period_s = period_s
+        self._autopilot = autopilot
+        self._journal = journal
+        self._silent = False  # the vehicle is, so that borders may be crossed unseen
+        self._looked_s = 0.0
+        self._due_s = -math.inf  # of the next possible change
+        self._alarm: asyncio.TimerHandle | None = None  # at the first look from then on
+
+    async def look(self) -> NoReturn:
+        """Tick the core after each period in which its inputs can have changed, at once after a server was left."""
+        self._is_looking = True
+        try:
+            while True:
+                self._tick(Tick())
+                self.again.clear()
+                self._looked_s = asyncio.get_running_loop().time()
+                self._stop_alarm()
+                self.set_alarm()
+                await self.again.wait()
+        finally:
+            self._is_looking = False
+            self._stop_alarm()
+
+    async def watch_borders(self) -> NoReturn:
+        """Tell the core at once when a border is crossed; once a period while the vehicle is silent."""
+        while True:
+            try:
+                await self._autopilot.border_crossed(self._areas)
+            except AutopilotLost as error:
+                if not self._silent:
+                    self._journal.record(schema.BorderWatchFailed(why=str(error)))
+                self._silent = True
+                self.set_alarm()
+                await asyncio.sleep(self._period_s)
+            else:
+                self._silent = False
+                self._tick(Tick())
+
+    def set_alarm(self) -> None:
+        """Schedule the next tick at the end of the first period in which the core's inputs can have changed."""
+        if not self._is_looking:
+            return
+        due_s = -math.inf if self._silent else self._next_look_s() - _ROUNDING_S
+        if due_s == self._due_s and self._alarm is not None:
+            return
+        self._stop_alarm()
+        self._due_s = due_s
+        if due_s < math.inf:
+            loop = asyncio.get_running_loop()
+            self._alarm = loop.call_at(self._look_s(max(due_s, loop.time())), self.again.set)
+
+    def _look_s(self, due_s: float) -> float:
+        look_s = self._looked_s + self._period_s
+        while look_s < due_s:
+            look_s += self._period_s
+        return look_s
+
+    def _stop_alarm(self) -> None:
+        if self._alarm is not None:
+            self._alarm.cancel()
+            self._alarm = None
