@@ -206,9 +206,9 @@ def test_the_calls_to_come_are_expected_as_they_are_asked_for() -> None:
     assert first_call(selection, at_s=at_s) is not None
     selection.handle(LocalCallEnded(LIGHT, 3.0), now_s=at_s + 3, position=PLAN[0].position)
     selection.handle(LegBegun(PLAN[1].position, None), now_s=at_s + 3, position=PLAN[0].position)
-    assert {
-        call.operation for call in selection._planning.mission.rest(PLAN[0].position, now_s=at_s + 3)
-    } == {HEAVY}
+    assert {call.operation for call in selection.planning.mission.rest(PLAN[0].position, now_s=at_s + 3)} == {
+        HEAVY
+    }
 
 
 def test_a_call_that_falls_back_is_judged_as_one_on_the_drone() -> None:
@@ -224,7 +224,7 @@ def test_a_call_that_falls_back_is_judged_as_one_on_the_drone() -> None:
     assert lightened is not None and lightened.operation == LIGHT
     coming_s = 10.0 + 3 * (LEG_S + PHOTO_S) + 0.7 + 2 * 10.0 + HOME_S
     assert lightened.forecast_s == pytest.approx(at_s + 3.0 + coming_s, abs=0.01)
-    outlook = selection.outlook(now_s=at_s + 4.0, position=here)
+    outlook = selection.planning.outlook(at_s + 4.0)
     assert outlook is not None and outlook.stay_s == pytest.approx(3.0 - 1.0)
 
 

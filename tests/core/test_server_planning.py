@@ -122,7 +122,7 @@ def test_flying_on_costs_a_remote_call_only_if_its_server_is_lost_on_the_way() -
     for radius_m, go_s in ((30.0, 0.5), (0.01, 0.02**0.5 + LOCAL_S)):
         machine = at_first(flight(radius_m=radius_m), until_s=PHOTO_S)
         assert isinstance(machine.decide(LOOK, now_s=1.0, position=PLAN[0].position)[0], Remote)
-        outlook = machine.outlook(now_s=1.5, position=PLAN[0].position)
+        outlook = machine.planning.outlook(1.5)
         assert outlook is not None
         assert (outlook.leg, outlook.photo_s, outlook.stay_s) == (NEXT, PHOTO_S, 0.5)
         assert outlook.go_s == pytest.approx(go_s)
@@ -139,7 +139,7 @@ def test_the_pace_of_the_vehicle_that_was_found_counts_for_the_next_leg() -> Non
     for event in (found, LegBegun(PLAN[0].position, None), LegEnded()):
         machine.handle(event, now_s=0.0, position=PLAN[0].position)
     machine.decide(LOOK, now_s=1.0, position=PLAN[0].position)
-    outlook = machine.outlook(now_s=1.0, position=PLAN[0].position)
+    outlook = machine.planning.outlook(1.0)
     assert outlook is not None and outlook.leg == Leg(20.0, 4.0, 4.0)
 
 
@@ -149,22 +149,22 @@ def test_flying_on_costs_a_call_on_the_drone_nothing_and_without_an_open_call_th
     machine = flight(east_m=900.0)
     for event in (LegBegun(PLAN[0].position, None), LegEnded()):
         machine.handle(event, now_s=0.0, position=PLAN[0].position)
-    assert machine.outlook(now_s=0.5, position=PLAN[0].position) is None
+    assert machine.planning.outlook(0.5) is None
     assert isinstance(machine.decide(LOOK, now_s=1.0, position=PLAN[0].position)[0], Local)
-    assert machine.outlook(now_s=4.0, position=PLAN[0].position) == Outlook(NEXT, PHOTO_S, 7.0, 7.0)
-    assert machine.outlook(now_s=14.0, position=PLAN[0].position) == Outlook(NEXT, PHOTO_S, 0.0, 0.0)
+    assert machine.planning.outlook(4.0) == Outlook(NEXT, PHOTO_S, 7.0, 7.0)
+    assert machine.planning.outlook(14.0) == Outlook(NEXT, PHOTO_S, 0.0, 0.0)
     machine.handle(TargetUnknown(), now_s=14.5, position=PLAN[0].position)
-    assert machine.outlook(now_s=14.5, position=PLAN[0].position) is None, "it leaves its plan"
+    assert machine.planning.outlook(14.5) is None, "it leaves its plan"
     called = at_first(flight(), until_s=PHOTO_S)
     called.decide(LOOK, now_s=1.0, position=PLAN[0].position)
     called.handle(LocalCallEnded(LOOK, 14.0), now_s=15.0, position=PLAN[0].position)
-    assert called.outlook(now_s=15.0, position=PLAN[0].position) is None
+    assert called.planning.outlook(15.0) is None
 
 
 def test_a_call_without_an_estimate_is_expected_to_be_over_at_once() -> None:
     machine = at_first(flight(), until_s=PHOTO_S)
     machine.decide(COUNT, now_s=1.0, position=PLAN[0].position)
-    assert machine.outlook(now_s=1.0, position=PLAN[0].position) == Outlook(NEXT, PHOTO_S, 0.0, 0.0)
+    assert machine.planning.outlook(1.0) == Outlook(NEXT, PHOTO_S, 0.0, 0.0)
 
 
 def test_a_call_that_waits_is_open_for_as_long_as_it_may_wait_and_then_for_its_own_time() -> None:
@@ -173,11 +173,11 @@ def test_a_call_that_waits_is_open_for_as_long_as_it_may_wait_and_then_for_its_o
         machine.handle(event, now_s=0.0, position=PLAN[0].position)
     decision, _ = machine.decide(LOOK, now_s=5.0, position=PLAN[0].position)
     assert isinstance(decision, Wait) and decision.at_most_s == 6.5
-    outlook = machine.outlook(now_s=6.0, position=PLAN[0].position)
+    outlook = machine.planning.outlook(6.0)
     assert outlook is not None and outlook.stay_s == 5.5
     after, _ = machine.decide_after_wait(LOOK, 1, now_s=11.5, position=PLAN[0].position)
     assert isinstance(after, Local)
-    outlook = machine.outlook(now_s=12.0, position=PLAN[0].position)
+    outlook = machine.planning.outlook(12.0)
     assert outlook is not None and outlook.stay_s == outlook.go_s == LOCAL_S - 0.5
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import pytest
 from tests.core.test_selection import (
@@ -224,9 +223,9 @@ def test_a_server_with_a_call_of_the_drone_is_not_free_for_another() -> None:
     for each in (selection, doubted):
         each.lanes.hold("a loser", "s1", 22.0)
     assert overtaking(selection, began_s=19.0) == (None, math.inf)
-    about: Any = {"beside": "s2", "now_s": 20.0, "position": UNDER_S1}
-    assert selection.second(HEAVY, begins=True, **about) is None
-    assert selection.second(HEAVY, begins=False, **about) is selection.current, "it may be free by then"
+    second = selection.placement.second
+    assert second(HEAVY, "s2", 20.0, begins=True) is None
+    assert second(HEAVY, "s2", 20.0, begins=False) is selection.current, "it may be free by then"
     behind, _ = selection.decide(HEAVY, now_s=20.0, position=UNDER_S1)
     assert isinstance(behind, Remote)
     assert (behind.inputs.remote_s, behind.deadline_s) == (2.75, 8.0), (

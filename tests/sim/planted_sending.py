@@ -8,8 +8,8 @@ from typing import Any
 import msgspec
 from tests.sim.planting import plant, planted
 
-from upwash.core.call.calls import Calls
 from upwash.core.knowledge.estimates import Estimates
+from upwash.core.selection.call_placement import CallPlacement
 from upwash.drone.before_sending import BeforeSending, NotReduced
 from upwash.errors import InstanceError
 from upwash.rpc.service import Method, Reduced
@@ -21,7 +21,7 @@ def any_loss(init: Any, self: Estimates, **known: Any) -> None:
 
 
 plant("a part that fails is tried for ever", Estimates, "tries_part", lambda *_: True)
-plant("a server that was left meanwhile gets the smaller request", Calls, "may_send", lambda *_: True)
+plant("a server that was left meanwhile gets the smaller request", CallPlacement, "may_send", lambda *_: True)
 
 
 @planted("a call fails with its part", BeforeSending, "reduce")

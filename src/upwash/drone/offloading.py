@@ -31,6 +31,7 @@ from upwash.core.selection.deadlines import Deadlines
 from upwash.core.selection.events import NoMoreCalls, SelectionEvent
 from upwash.core.selection.hedging import Hedging
 from upwash.core.selection.selection import Selection
+from upwash.core.selection.server_planning import ServerPlanning
 from upwash.drone.before_sending import BeforeSending, NotReduced
 from upwash.drone.looks import Looks
 from upwash.drone.onboard import OnboardServices
@@ -178,12 +179,11 @@ class Offloading:
 
     def outlook(self) -> Outlook | None:
         """What flying on before the open call is over would save and cost; None if nothing is known."""
-        return self._ask(lambda: self._selection.outlook(now_s=now_s(), position=self._autopilot.position))
+        return self._ask(lambda: self._planning.outlook(now_s()))
 
     def believed(self, operations: Sequence[Operation]) -> Mapping[str, ServerBelief]:
         """The servers that may compute these operations, and the mean seconds of a call at each."""
-        position = self._autopilot.position
-        return self._ask(lambda: self._selection.believed(operations, now_s=now_s(), position=position)) or {}
+        return self._ask(lambda: self._planning.believed(operations, now_s())) or {}
 
     def where_to_wait(self, stay: Stay) -> str | None:
         """The server of the range where a resting drone waits for answers; None for where it is."""
@@ -199,8 +199,12 @@ class Offloading:
 
     def reach_s(self, operation: Operation) -> float | None:
         """Seconds until a server in range answers a call that only servers compute; None where none can."""
-        position = self._autopilot.position
-        return self._ask(lambda: self._selection.reach_s(operation, now_s=now_s(), position=position))
+        return self._ask(lambda: self._planning.reach_s(operation, now_s(), self._autopilot.position))
+
+    @property
+    def _planning(self) -> ServerPlanning:
+        self._selection.locate(self._autopilot.position, now_s())
+        return self._selection.planning
 
     def tell(self, event: CallEvent | SelectionEvent) -> None:
         """Pass the event to the core, and carry out its instructions."""
@@ -235,7 +239,7 @@ class Offloading:
             within_s=patience.within_s if patience is not None else None,
         )
         call, listening = Call(asked, is_waited_for=hearing.waits.is_set()), None
-        if asked.on_servers or self._selection.has_two_answers:
+        if asked.on_servers or self._selection.two_answers:
             listening = begin(self._listen(call, hearing))
         try:
             if not self._failed:

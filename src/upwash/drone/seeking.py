@@ -158,7 +158,7 @@ class Seeking:
     ) -> Backlog:
         """These calls; what the drone computes of one with two answers is the first."""
         computed = [
-            operation if (two := self._selection.two_answers(operation)) is None else two.first
+            operation if (two := self._selection.two_answers.get(operation)) is None else two.first
             for operation in operations
         ]
         times_s = [time_s for each in computed if (time_s := self._estimates.local_s(each)) is not None]

@@ -103,7 +103,8 @@ class Field:
     def __post_init__(self) -> None:
         this: Any = self
         self.lanes = Lanes()
-        self.estimates = self.policy = this
+        self.estimates = self.policy = self.placement = self.planning = this
+        self.two_answers = {} if self.two is None else {OPERATION: self.two}
         self.name = "mine"
         self.servers = {name: SimpleNamespace(name=name, check=CHECK) for name in ("s1", "s2", "s3")}
         self.current = self.servers["s1"]
@@ -213,8 +214,8 @@ class Field:
     def is_awaited(self, check: int) -> bool:
         return self.now_s < self.check_ends_s
 
-    def two_answers(self, operation: Operation) -> TwoAnswers | None:
-        return self.two
+    def locate(self, position: Position, now_s: float) -> None:
+        assert (now_s, position) == (self.now_s, HERE)
 
     def overtake(self, operation: Operation, *, began_s: float, **_: Any) -> tuple[Remote | None, float]:
         self.began_s.append(began_s - 100)
@@ -223,26 +224,28 @@ class Field:
             return REMOTE, math.inf
         return None, 100 + self.overtakes_s[0] if self.overtakes_s else math.inf
 
-    def better(self, operation: Operation, *, is_next: bool, **_: Any) -> tuple[Remote | None, bool]:
+    def better(
+        self, operation: Operation, by_s: float, now_s: float, *, is_next: bool
+    ) -> tuple[Remote | None, bool]:
         found = self.betters.pop(0) if len(self.betters) > 1 else self.betters[0]
         return found if is_next else (None, True)
 
-    def second(self, operation: Operation, *, beside: str, begins: bool, **_: Any) -> Any:
+    def second(self, operation: Operation, beside: str, now_s: float, *, begins: bool) -> Any:
         return None if self.second_server is None else self.servers[self.second_server]
 
     def fall_back(self, operation: Operation, **_: Any) -> Lightened | None:
         return self.lighter
 
-    def may_send(self, server: str, check: int, **_: Any) -> bool:
+    def may_send(self, server: str, check: int) -> bool:
         return not self.is_left
 
-    def may_queue_s(self, server: str, operation: Operation, deadline_s: float, **_: Any) -> float:
+    def may_queue_s(self, server: str, operation: Operation, deadline_s: float, now_s: float) -> float:
         return deadline_s / 2
 
-    def reach_s(self, operation: Operation, **_: Any) -> float | None:
+    def reach_s(self, operation: Operation, now_s: float, position: Position) -> float | None:
         return self.reaches_s
 
-    def next_in_line(self, **_: Any) -> tuple[InLine, str] | None:
+    def next_in_line(self, now_s: float) -> tuple[InLine, str] | None:
         line = self.lanes.line
         if not line or self.lane is None or not (self.lanes.is_free("local") or self.lanes.is_free("s1")):
             return None

@@ -140,7 +140,7 @@ class Call:
         self.why, self.lightened = decision.why, decision.inputs.lightened
         if self.lightened is not None:
             self.operation = self.lightened.operation
-        self.two = calls.selection.two_answers(self.operation)
+        self.two = calls.selection.two_answers.get(self.operation)
         if self.asked.on_servers and not isinstance(decision, Remote):
             calls.leave(self)
             self.again_after = calls.news  # what the policy thinks of this server may change then
@@ -242,7 +242,7 @@ class Call:
         if not attempt.sends_less:
             attempt.counts_from_s = calls.now_s
             expected_s = calls.estimates.remote_s(attempt.server, attempt.operation) or 0.0
-        if expected_s <= left_s and calls.may_send(attempt):
+        if expected_s <= left_s and calls.placement.may_send(attempt.server, attempt.check):
             calls.send(attempt, left_s)
         else:
             self.ended(calls, attempt, "failed")
@@ -436,7 +436,7 @@ class Call:
             why = f"{attempt.server} says that {attempt.operation} raised {attempt.raised}"
             if attempt.sends_less:  # which may be the fault of what was sent
                 calls.part_failed(attempt.operation, why)
-                if calls.may_send(attempt):
+                if calls.placement.may_send(attempt.server, attempt.check):
                     inputs = attempt.inputs
                     longer = (inputs.whole_s or 1.0) / (inputs.less_s or 1.0)
                     self._try(

@@ -73,7 +73,7 @@ class Calls:
         waiting_bytes: Mapping[str, int] = MappingProxyType({}),
     ) -> None:
         self.selection, self.hedging, self.deadlines = selection, hedging, deadlines
-        self.estimates, self.lanes = selection.estimates, selection.lanes
+        self.placement, self.estimates, self.lanes = selection.placement, selection.estimates, selection.lanes
         self.lanes.newest_first, self.lanes.has_line = first == "newest", first is not None
         self.now_s, self.here = 0.0, Position(0.0, 0.0)
         self.news = 0  # how often something has changed that calls may wait for
@@ -93,6 +93,7 @@ class Calls:
     ) -> list[Instruction]:
         """Take in what has happened at the position; return what the program has to do, in that order."""
         self.now_s, self.here = now_s, position
+        self.selection.locate(position, now_s)
         self._take_in(event)
         out, self._out = self._out, []
         return out
@@ -204,7 +205,7 @@ class Calls:
         if self._deciding is not None or not self.lanes.line:
             self._unused_since_s = None
             return
-        following = self.selection.next_in_line(now_s=self.now_s, position=self.here)
+        following = self.placement.next_in_line(self.now_s)
         if following is None:
             self._watch_unused()
             return
@@ -236,7 +237,7 @@ class Calls:
         place, until_s = ON_DRONE, math.inf
         if decision is not None:
             server = decision.server if isinstance(decision, Remote) and not decision.raced else None
-            two = self.selection.two_answers(call.operation)
+            two = self.selection.two_answers.get(call.operation)
             computed = call.operation if two is None else two.first
             takes_s = (
                 self.estimates.local_s(computed) if server is None else self._takes_s(server, call.operation)
@@ -303,9 +304,7 @@ class Calls:
 
     def better(self, call: Call, *, is_next: bool) -> tuple[Remote | None, bool]:
         """The server for the call's better answer, logged, or None; and whether one may become of use in time."""
-        remote, may_come = self.selection.better(
-            call.operation, by_s=call.by_s, is_next=is_next, now_s=self.now_s, position=self.here
-        )
+        remote, may_come = self.placement.better(call.operation, call.by_s, self.now_s, is_next=is_next)
         if remote is not None:
             self._decided(call, call.operation, remote)
         return remote, may_come
@@ -336,9 +335,7 @@ class Calls:
         """The seconds after which a second server gets a call that this one has not answered; infinite for none."""
         if self.deadlines.within_s(operation) is None:
             return math.inf
-        second = self.selection.second(
-            operation, beside=server, begins=False, now_s=self.now_s, position=self.here
-        )
+        second = self.placement.second(operation, server, self.now_s, begins=False)
         plan = self.deadlines.prospect(operation, server, None if second is None else second.name)
         return math.inf if plan is None or plan.after_s is None else plan.after_s
 
@@ -346,9 +343,7 @@ class Calls:
         """The server that gets a call beside the first attempt, as counted; None if none may get it."""
         if not self.deadlines.may_ask(first.operation):
             return None
-        server = self.selection.second(
-            first.operation, beside=first.server, begins=True, now_s=self.now_s, position=self.here
-        )
+        server = self.placement.second(first.operation, first.server, self.now_s, begins=True)
         if server is None:
             return None
         self.deadlines.asked(first.operation)
@@ -385,15 +380,9 @@ class Calls:
     def _takes_s(self, server: str, operation: Operation) -> float:
         return self.lanes.queue_s(server, self.now_s) + (self.estimates.remote_s(server, operation) or 0.0)
 
-    def may_send(self, attempt: Attempt) -> bool:
-        """Whether the server is still of use for the attempt."""
-        return self.selection.may_send(attempt.server, attempt.check, now_s=self.now_s, position=self.here)
-
     def send(self, attempt: Attempt, deadline_s: float) -> None:
         """Send the attempt's request."""
-        may_queue_s = self.selection.may_queue_s(
-            attempt.server, attempt.operation, deadline_s, now_s=self.now_s
-        )
+        may_queue_s = self.placement.may_queue_s(attempt.server, attempt.operation, deadline_s, self.now_s)
         self.do(steps.Send(attempt, deadline_s, may_queue_s))
 
     def _replied(self, reply: steps.Replied) -> None:
@@ -599,7 +588,7 @@ class Calls:
         self.wake()
         if not call.asked.on_servers or call.limit_s < math.inf:
             return
-        reach_s = self.selection.reach_s(call.asked.operation, now_s=self.now_s, position=self.here)
+        reach_s = self.selection.planning.reach_s(call.asked.operation, self.now_s, self.here)
         if reach_s is None:
             call.limit(self, "no server in range can answer, and the mission waits")
         else:

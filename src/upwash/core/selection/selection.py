@@ -33,20 +33,18 @@ from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.ranges import AreaIndex
 from upwash.core.knowledge.servers import CHECKING, SELECTED, Change, Server, ServerTable, State, Trigger
 from upwash.core.operation import Operation
-from upwash.core.planning.answering import ServerBelief
 from upwash.core.planning.mission_model import MissionBeliefs, MissionModel
-from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import Choice, Decision, Lightened, Local, Policy, Remote
 from upwash.core.selection import events
-from upwash.core.selection.call_placement import CallPlacement, Place
+from upwash.core.selection.call_placement import CallPlacement
 from upwash.core.selection.commands import Effect, Move
 from upwash.core.selection.events import SelectionEvent
-from upwash.core.selection.lanes import InLine, Lanes
+from upwash.core.selection.lanes import Lanes
 from upwash.core.selection.mission_times import Lighter, Timetable
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import Recovery
 from upwash.core.selection.server_planning import ServerPlanning
-from upwash.core.selection.settings import SelectionSettings, TwoAnswers
+from upwash.core.selection.settings import SelectionSettings
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event, MeasuredRecord
 
@@ -77,9 +75,10 @@ class Selection:
         self.servers: Mapping[str, Server] = table.servers
         self._radios = radios = Radios(settings, table, estimates, recovery)
         self.lanes = Lanes()
-        self._placement = CallPlacement(policy, radios, estimates, recovery, self.lanes, settings.two_answers)
+        self.two_answers = settings.two_answers
+        self.placement = CallPlacement(policy, radios, estimates, recovery, self.lanes, settings.two_answers)
         model = MissionModel(beliefs, areas, index)
-        self._planning = planning = ServerPlanning(
+        self.planning = planning = ServerPlanning(
             policy, settings, table, radios, estimates, recovery, self.lanes, mission=model
         )
         # A model of its own: it sees the whole mission, from the ground.
@@ -109,7 +108,7 @@ class Selection:
         """Why no call needs a server any more; "" while one may."""
         if self._ended:
             return "mission ended"
-        needed = self._planning.under_way is not None or self._planning.waiting
+        needed = self.planning.under_way is not None or self.planning.waiting
         return "on the way down" if self._comes_down and not needed else ""
 
     def is_awaited(self, check: int) -> bool:
@@ -119,14 +118,14 @@ class Selection:
 
     def handle(self, event: SelectionEvent, *, now_s: float, position: Position) -> list[Effect]:
         """Take in an event, with the drone at the position; return commands and events of the log in their order."""
-        table, radios, planning = self._table, self._radios, self._planning
+        table, radios, planning = self._table, self._radios, self.planning
         if isinstance(event, events.MissionBegun):
             planning.mission.begun(event.pace)
             foreseen = self._timetable.begin(event.vehicle, event.pace, now_s=now_s, position=position)
             if self._lighter is not None:
                 self._lighter.begun_s, self._lighter.home_s = now_s, self._timetable.after_s
             return [foreseen] if foreseen else []
-        self._locate(position, now_s)
+        self.locate(position, now_s)
         effects = self._take_in(event, now_s, position)
         effects += radios.end_probes(
             [server for server in radios.probed if self._unneeded or not server.in_range]
@@ -165,21 +164,7 @@ class Selection:
         """The time before which a `Tick` changes nothing, unless an event or a crossed border comes first."""
         if self.estimates.coverage is not None or self._table.ranges.is_on_border:
             return now_s  # what is known of a server changes with the place, or a border is crossed unseen
-        return min(self._planning.next_look_s(now_s), self._table.next_expiry_s(probed=self._radios.probed))
-
-    def next_in_line(self, *, now_s: float, position: Position) -> tuple[InLine, Place] | None:
-        """The call to be decided now, of those in line, and where; None while all wait for a place."""
-        self._locate(position, now_s)
-        return self._placement.next_in_line(now_s)
-
-    @property
-    def has_two_answers(self) -> bool:
-        """Whether calls may have two answers."""
-        return bool(self._settings.two_answers)
-
-    def two_answers(self, operation: Operation) -> TwoAnswers | None:
-        """What the drone computes at once of a call with two answers; None for a call with one."""
-        return self._settings.two_answers.get(operation)
+        return min(self.planning.next_look_s(now_s), self._table.next_expiry_s(probed=self._radios.probed))
 
     def decide(
         self,
@@ -194,19 +179,19 @@ class Selection:
 
         With `on_drone` the drone takes the call out of the line.
         """
-        self._locate(position, now_s)
+        self.locate(position, now_s)
         if self._comes_down:
-            self._comes_down, self._planning.changed = False, True
+            self._comes_down, self.planning.changed = False, True
         lightened = None
         if not self.estimates.needs_server(operation):  # else it was made before
-            self._planning.mission.call_begun(operation, now_s=now_s)
+            self.planning.mission.call_begun(operation, now_s=now_s)
             if self._lighter is not None:
                 lightened = self._lighter.judge(operation, now_s=now_s, position=position)
         operation = lightened.operation if lightened else operation
-        decision, effects = self._placement.decide(
+        decision, effects = self.placement.decide(
             operation, now_s, on_drone=on_drone, drone_is_busy=drone_is_busy
         )
-        self._planning.decided(decision, operation, now_s)
+        self.planning.decided(decision, operation, now_s)
         if lightened is not None:
             decision = replace(decision, inputs=structs.replace(decision.inputs, lightened=lightened))
         return decision, self._told(effects, position)
@@ -215,19 +200,19 @@ class Selection:
         """The lighter operation of a call that the drone computes after its server failed; None: as asked."""
         if self._lighter is None:
             return None
-        self._planning.mission.call_ends(now_s)
+        self.planning.mission.call_ends(now_s)
         lightened = self._lighter.judge(operation, now_s=now_s, position=position, on_drone=True)
         if lightened is not None:
-            self._planning.decided(Local("no usable answer"), lightened.operation, now_s)
+            self.planning.decided(Local("no usable answer"), lightened.operation, now_s)
         return lightened
 
     def decide_after_wait(
         self, operation: Operation, check: int, *, now_s: float, position: Position
     ) -> tuple[Decision, list[Effect]]:
         """Decide where a call runs after its wait for that check; never another Wait."""
-        self._locate(position, now_s)
-        decision, effects = self._placement.decide_after_wait(operation, check, now_s)
-        self._planning.decided(decision, operation, now_s)
+        self.locate(position, now_s)
+        decision, effects = self.placement.decide_after_wait(operation, check, now_s)
+        self.planning.decided(decision, operation, now_s)
         return decision, self._told(effects, position)
 
     def overtake(
@@ -237,61 +222,16 @@ class Selection:
 
         The second value is the time to ask again if no event comes before.
         """
-        self._locate(position, now_s)
-        decision, again_s = self._placement.overtake(operation, began_s, now_s)
+        self.locate(position, now_s)
+        decision, again_s = self.placement.overtake(operation, began_s, now_s)
         if decision is not None:
-            self._planning.under_way = decision
+            self.planning.under_way = decision
         return decision, again_s
 
-    def better(
-        self, operation: Operation, *, by_s: float, is_next: bool, now_s: float, position: Position
-    ) -> tuple[Remote | None, bool]:
-        """The server that can answer a call by then whose first answer the drone computes; None without one.
-
-        The second value tells whether the server in use may become of use in time, as where the call `is_next` there.
-        """
-        self._locate(position, now_s)
-        return self._placement.better(operation, by_s, now_s, is_next=is_next)
-
-    def second(
-        self, operation: Operation, *, beside: str, begins: bool, now_s: float, position: Position
-    ) -> Server | None:
-        """The other READY server, for calls that the one `beside` it answers late; None without one.
-
-        The call may be a trial of the server, if it `begins` there.
-        """
-        self._locate(position, now_s)
-        return self._placement.second(operation, beside, now_s, begins=begins)
-
-    def may_send(self, server: str, check: int, *, now_s: float, position: Position) -> bool:
-        """Whether a call that was decided for the server, READY since that check, may still go there."""
-        self._locate(position, now_s)
-        return self._placement.may_send(server, check)
-
-    def may_queue_s(self, server: str, operation: Operation, deadline_s: float, *, now_s: float) -> float:
-        """The seconds within which the server has to begin a call that is sent now, to answer it by its deadline."""
-        return self._placement.may_queue_s(server, operation, deadline_s, now_s)
-
-    def outlook(self, *, now_s: float, position: Position) -> Outlook | None:
-        """What flying on before the open call is over would save and cost; None if nothing is known."""
-        self._locate(position, now_s)
-        return self._planning.outlook(now_s)
-
-    def reach_s(self, operation: Operation, *, now_s: float, position: Position) -> float | None:
-        """Seconds until a server in range answers a call that only servers compute; None where none can."""
-        self._locate(position, now_s)
-        return self._planning.reach_s(operation, now_s, position)
-
-    def believed(
-        self, operations: Sequence[Operation], *, now_s: float, position: Position
-    ) -> dict[str, ServerBelief]:
-        """The servers that may compute these operations, and the mean seconds of a call at each."""
-        self._locate(position, now_s)
-        return self._planning.believed(operations, now_s)
-
-    def _locate(self, position: Position, now_s: float) -> None:
+    def locate(self, position: Position, now_s: float) -> None:
+        """Note where the drone is now."""
         if self._table.locate(position, now_s) | self.estimates.locate(position):
-            self._planning.changed = True
+            self.planning.changed = True
 
     # --- what arrives ---------------------------------------------------------------------------------------
 
@@ -330,18 +270,18 @@ class Selection:
             case events.PeerPrepared(name, by):
                 return self._prepared(self.servers[name], by, now_s)
             case events.LegBegun() | events.LegEnded() | events.TargetUnknown():
-                self._planning.mission_goes_on(event, position, now_s)
+                self.planning.mission_goes_on(event, position, now_s)
                 return []
             case events.DescentBegun():
-                self._planning.mission.lost()
+                self.planning.mission.lost()
                 self._comes_down = True
             case events.NoMoreCalls():
                 self._ended = True
             case events.CallWaits() | events.CallOver():
-                self._planning.waits(event, now_s)
+                self.planning.waits(event, now_s)
             case events.LocalCallEnded(operation, delay_s, asked):
                 self.estimates.observe_local(operation, delay_s, asked=asked)
-                self._planning.answered(now_s)
+                self.planning.answered(now_s)
             case events.PartFailed(service):
                 self.estimates.part_failed(service)
             case events.RemoteCallEnded(name, operation, delay_s, late, less, queued_s, queue_s):
@@ -351,8 +291,8 @@ class Selection:
                     delay_s -= queued_s
                 self._learn_remote(name, operation, delay_s, now_s, late=late, less=less)
                 if not late and not self.estimates.needs_server(operation):
-                    self._planning.answered(now_s)
-                self._planning.changed = True
+                    self.planning.answered(now_s)
+                self.planning.changed = True
                 return [] if late else self._radios.prefer(self.servers[name], "it answered first")
             case events.RemoteCallCut(name, operation, waited_s, less):
                 self.estimates.observe_remote_cut(name, operation, waited_s, now_s=now_s, less=less)
@@ -363,23 +303,23 @@ class Selection:
                 if self._recovery is not None:
                     self._recovery.trial_over(name)
                 if not late:
-                    self._planning.under_way = Local(why)
+                    self.planning.under_way = Local(why)
             case events.RemoteCallFailed(name, check, why, late):
-                self._planning.changed = True
+                self.planning.changed = True
                 if not late:
-                    self._planning.under_way = Local(why)
+                    self.planning.under_way = Local(why)
                 return self._call_failed(name, check, why, now_s)
             case events.RemoteCallRaised(_, why):
-                self._planning.under_way = Local(why)
+                self.planning.under_way = Local(why)
             case events.RemoteFaultTested(name, check, operation, delay_s, why, confirmed, less):
-                self._planning.changed = True
+                self.planning.changed = True
                 if not confirmed:
                     return self._call_failed(name, check, why, now_s)
                 self._learn_remote(name, operation, delay_s, now_s, late=True, less=less)
             case events.Reached():
-                self._planning.changed = True
+                self.planning.changed = True
                 return self._reached(event)
-        self._planning.changed = True
+        self.planning.changed = True
         return []
 
     def _check_answered(self, answer: events.CheckAnswered, now_s: float) -> list[Move]:
@@ -388,7 +328,7 @@ class Selection:
             return []
         server.peers = frozenset(answer.peers) & self.servers.keys()
         server.full_s, server.contended_s = -math.inf, now_s if answer.waiting else -math.inf
-        self._planning.changed = True
+        self.planning.changed = True
         if answer.running:
             return [self._ready(server, Trigger.FOUND_RUNNING, now_s)]
         server.found_stopped = True
@@ -407,8 +347,8 @@ class Selection:
         if server is None:  # it was left since
             return []
         if event.in_call:
-            if self._planning.under_way is not None:
-                self._planning.under_way = Local(event.why)
+            if self.planning.under_way is not None:
+                self.planning.under_way = Local(event.why)
             if self._recovery is not None:
                 self._recovery.trial_over(server.name)
             server.turns_lost += 1
@@ -418,9 +358,7 @@ class Selection:
             return self._call_failed(server.name, event.check, event.why, now_s)
         return self._radios.ask_again(server, event.why, now_s)
 
-    def _probe_answered(
-        self, answer: events.ProbeAnswered | events.ProbePaused, now_s: float
-    ) -> list[Move]:
+    def _probe_answered(self, answer: events.ProbeAnswered | events.ProbePaused, now_s: float) -> list[Move]:
         server = self._radios.probed_by(answer.check)
         if server is None:
             return []
@@ -437,7 +375,7 @@ class Selection:
         if server.start_requested:
             self.estimates.services_started(server.name)
         # An announced start, a check without a join and a wait for a slot teach nothing.
-        announced = server.start_requested and self._planning.was_announced(server)
+        announced = server.start_requested and self.planning.was_announced(server)
         if not announced and not server.joined_before and not server.refused:
             self.estimates.observe_check(
                 server.name, now_s - server.checked_since_s, started=server.start_requested
@@ -508,7 +446,7 @@ class Selection:
             return []
         place = coverage.asked(server.name, position, answered=False)
         self._probed_at[server.name] = place
-        self._planning.changed = True
+        self.planning.changed = True
         return [_measured(server.name, place)]
 
     def _asked(self, check: int, position: Position, *, answered: bool) -> list[Move]:
@@ -536,7 +474,7 @@ class Selection:
     # --- which server now? ----------------------------------------------------------------------------------
 
     def _select(self, now_s: float, position: Position) -> list[Move]:
-        radios, planning = self._radios, self._planning
+        radios, planning = self._radios, self.planning
         planning.changed, radios.put_off_until_s = False, math.inf
         choice = Choice(None, self._unneeded) if self._unneeded else planning.choose(now_s, position)
         effects: list[Move] = []
@@ -568,7 +506,7 @@ class Selection:
         return (
             server is not None
             and self.estimates.mean_call_s(server.name) < self.estimates.mean_call_s()
-            and self._planning.is_worth_a_slot(server, now_s)
+            and self.planning.is_worth_a_slot(server, now_s)
         )
 
 
