@@ -27,7 +27,6 @@ from upwash.config.drone import (
     DroneConfig,
     FleetDroneConfig,
     GridConfig,
-    HomeConfig,
     MissionConfig,
     NetworkConfig,
     PhotosConfig,
@@ -92,7 +91,14 @@ from upwash.config.runtime import RuntimeConfig
 from upwash.config.traces import read_battery, read_wind
 from upwash.config.truth import ServerTruth, server_truth
 from upwash.config.user import UserConfig
-from upwash.config.values import KeysConfig, PlanFile, SettingsTable, is_address, is_on_this_machine
+from upwash.config.values import (
+    HomeConfig,
+    KeysConfig,
+    PlanFile,
+    SettingsTable,
+    is_address,
+    is_on_this_machine,
+)
 from upwash.config.world import (
     EnergyConfig,
     EventConfig,

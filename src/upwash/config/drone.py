@@ -11,9 +11,9 @@ from msgspec import Meta, Struct
 from msgspec.structs import replace
 
 from upwash.config import values
+from upwash.config.kept_maps import CoverageFile, DemandFile
 from upwash.config.user import UserConfig
 from upwash.config.world import EnergyConfig, EventConfig, FaultConfig, HeatConfig, NoiseConfig, TruthConfig
-from upwash.core.geo import GeoPosition
 from upwash.core.policies.names import POLICIES, is_own
 
 Pause = Annotated[float, Meta(ge=0.2, le=60, description="a number from 0.2 to 60, in seconds")]
@@ -40,22 +40,14 @@ PhotoSize = Annotated[
     Meta(description="a pair [width, height] of whole numbers above 0, in pixels"),
 ]
 Radios = Annotated[int, Meta(ge=1, le=2, description="1 or 2")]
+CoveragePath = Annotated[
+    CoverageFile, Meta(description="a coverage map's path, absolute or from this file's folder")
+]
+DemandPath = Annotated[
+    DemandFile, Meta(description="a path of a map of demands, absolute or from this file's folder")
+]
 SafeEnd = Literal["return", "hold", "land"]
 Corner = Literal["top-left", "top-right", "bottom-left", "bottom-right"]
-
-
-class HomeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The place on the Earth where east and north are 0."""
-
-    latitude_deg: values.Latitude
-    """Degrees north of the equator."""
-    longitude_deg: values.Longitude
-    """Degrees east of Greenwich."""
-
-    @property
-    def place(self) -> GeoPosition:
-        """The place on the ground."""
-        return GeoPosition(self.latitude_deg, self.longitude_deg)
 
 
 class GridConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -125,7 +117,7 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The ground speed of legs, in metres per second; with `speed = "auto"` the highest one, 10 by default."""
     speed: Literal["given", "auto"] = "given"
     """`auto`: before take-off the drone chooses [the speed of its rows](rows.md#which-speed)."""
-    home: HomeConfig | None = None
+    home: values.HomeConfig | None = None
     """The place where east and north are 0; needed to fly."""
     grid: GridConfig | None = None
     """The waypoints as a grid; one of `grid`, `waypoints_m` and `plan` is needed."""
@@ -221,7 +213,7 @@ class NetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The interfaces that NetworkManager may use to join networks."""
     radios: Radios = 1
     """With 2, the next server is checked while the present one is used; each radio has an interface."""
-    coverage_map: values.CoveragePath | None = None
+    coverage_map: CoveragePath | None = None
     """A file, kept between flights, with the measurements of servers without a range at each place."""
 
 
@@ -339,7 +331,7 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     `true` with `look-ahead` and your own policies."""
     stay_or_go: Literal["stay", "go", "learn"] = "stay"
     """Whether the drone flies on before it has an answer: [answers that come later](pending-calls.md)."""
-    demand_map: values.DemandPath | None = None
+    demand_map: DemandPath | None = None
     """A file, kept between flights, with the places of demands, for `stay_or_go`."""
     act_within_s: values.NotNegative | None = None
     """The longest time in seconds from an answer to [its later act](pending-calls.md#when-the-drone-acts), as far as

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import msgspec
 
-from upwash.config.drone import DroneConfig, GridConfig, HomeConfig, MissionConfig, ServerConfig
+from upwash.config.drone import DroneConfig, GridConfig, MissionConfig, ServerConfig
 from upwash.config.plan_photos import planned_photos
-from upwash.config.values import PlanFile
+from upwash.config.values import HomeConfig, PlanFile
 from upwash.core.geo import (
     Circle,
     GeoPosition,
@@ -123,12 +123,6 @@ def geofence(mission: MissionConfig) -> tuple[Fence, ...]:
     return tuple(fence.fence(frame) for fence in mission.plan.plan.fences)
 
 
-def planned_home(plan: FlightPlan) -> HomeConfig | None:
-    """The home that a plan names, or None."""
-    home = plan.home
-    return HomeConfig(latitude_deg=home.latitude_deg, longitude_deg=home.longitude_deg) if home else None
-
-
 def as_planned(
     mission: MissionConfig, file: PlanFile, *, named: Container[str], photo_s: float
 ) -> MissionConfig:
@@ -137,7 +131,7 @@ def as_planned(
     if "altitude_m" in named:
         plan = replace(plan, takeoff_above_sea_m=None)
     planned = {
-        "home": planned_home(plan),
+        "home": plan.home and HomeConfig.at(plan.home),
         "altitude_m": plan.takeoff_altitude_m or plan.waypoints[0].place.altitude_m,
         "ground_speed_m_s": plan.ground_speed_m_s or mission.ground_speed_m_s,
     }

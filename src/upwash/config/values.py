@@ -11,8 +11,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from upwash.config.coverage import CoverageFile
-from upwash.config.demand_map import DemandFile
+from upwash.core.geo import GeoPosition
 from upwash.core.planning.order import SWEEPS
 from upwash.plans import FlightPlan, read_plan
 
@@ -69,12 +68,6 @@ class SettingsTable:
         self.values = values
 
 
-CoveragePath = Annotated[
-    CoverageFile, Meta(description="a coverage map's path, absolute or from this file's folder")
-]
-DemandPath = Annotated[
-    DemandFile, Meta(description="a path of a map of demands, absolute or from this file's folder")
-]
 Settings = Annotated[SettingsTable, Meta(description="a table of what the service's constructor takes")]
 PlanPath = Annotated[PlanFile, Meta(description="a plan's path, absolute or from this file's folder")]
 
@@ -156,6 +149,25 @@ class KeysConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The certificate of this drone or daemon."""
     key: FilePath
     """The private key of that certificate."""
+
+
+class HomeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The place on the Earth where east and north are 0."""
+
+    latitude_deg: Latitude
+    """Degrees north of the equator."""
+    longitude_deg: Longitude
+    """Degrees east of Greenwich."""
+
+    @classmethod
+    def at(cls, place: GeoPosition) -> HomeConfig:
+        """The home at that place."""
+        return cls(latitude_deg=place.latitude_deg, longitude_deg=place.longitude_deg)
+
+    @property
+    def place(self) -> GeoPosition:
+        """The place on the ground."""
+        return GeoPosition(self.latitude_deg, self.longitude_deg)
 
 
 _EVERYWHERE = ("", "*")  # in place of a host: every address of this computer
