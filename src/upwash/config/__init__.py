@@ -31,7 +31,6 @@ from upwash.config.drone import (
     NetworkConfig,
     PhotosConfig,
     PolicyConfig,
-    ProbeConfig,
     RosConfig,
     SafeEnd,
     SecondLook,

@@ -15,8 +15,10 @@ from upwash.config.kept_maps import CoverageFile, DemandFile
 from upwash.config.user import UserConfig
 from upwash.config.world import EnergyConfig, EventConfig, FaultConfig, HeatConfig, NoiseConfig, TruthConfig
 from upwash.core.policies.names import POLICIES, is_own
+from upwash.core.selection.deadlines import Deadline
+from upwash.core.selection.hedging import HedgeRule
+from upwash.core.selection.recovery import Probing
 
-Pause = Annotated[float, Meta(ge=0.2, le=60, description="a number from 0.2 to 60, in seconds")]
 FieldOfView = Annotated[float, Meta(ge=1, le=170, description="a number from 1 to 170, in degrees")]
 AtLeastOneSecond = Annotated[float, Meta(ge=1, description="a number of at least 1, in seconds")]
 DeadManSilence = Annotated[float, Meta(ge=5, le=600, description="a number from 5 to 600, in seconds")]
@@ -272,33 +274,6 @@ class RosConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 _LEFT_ALONE_S = 60.0
 
 
-class HedgeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """When the drone's own service starts on a remote call that is late, and the share of extra work it may do."""
-
-    after: values.Quantile = "p95"
-    """The quantile of a server's delays; a longer call counts as late."""
-    budget: values.Share = 0.1
-    """The largest share of the drone's computing time that hedging may add."""
-
-    @property
-    def quantile(self) -> float:
-        """`after` as a fraction."""
-        return int(self.after[1:]) / 100
-
-
-class ProbeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The pauses between questions to a server that failed: the first one, and the longest."""
-
-    first_s: Pause = 0.5
-    """The first pause, in seconds."""
-    longest_s: Pause = 1.0
-    """The longest pause, in seconds."""
-
-    def __post_init__(self) -> None:
-        if self.first_s > self.longest_s:
-            raise ValueError(f"first_s is {self.first_s}, and longest_s only {self.longest_s}: pauses grow")
-
-
 class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """When calls are offloaded, and where to: [policies](policies.md)."""
 
@@ -318,7 +293,7 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """The time between two considerations of a better server, in seconds."""
     blacklist_s: AtLeastOneSecond | None = None
     """How long a failed server is not used, in seconds; in place of `probe`."""
-    probe: ProbeConfig | None = None
+    probe: Probing | None = None
     """A failed server is probed after these pauses; default of `look-ahead` and of your own policies."""
     idle_s: values.NotNegative = 180.0
     """How long the services of a server that was left are believed to run, in seconds."""
@@ -326,7 +301,7 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """The time until a server slower than the drone gets another chance, in seconds."""
     patient_first_call: bool = False
     """Whether a service's first call on a server may take as long as a local one."""
-    hedge: HedgeConfig | bool | None = None
+    hedge: HedgeRule | bool | None = None
     """Whether calls that a server answers late are computed on the drone too; `true`, `false` or a table; default:
     `true` with `look-ahead` and your own policies."""
     stay_or_go: Literal["stay", "go", "learn"] = "stay"
@@ -363,11 +338,11 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         return replace(self, name=name, settings=self.settings if name == self.name else {})
 
     @property
-    def probing(self) -> ProbeConfig | None:
+    def probing(self) -> Probing | None:
         """How a server that failed is probed; None where it is left alone for `left_alone_s`."""
         if self.blacklist_s is not None:
             return None
-        return self.probe or (ProbeConfig() if self._is_of_today else None)
+        return self.probe or (Probing() if self._is_of_today else None)
 
     @property
     def left_alone_s(self) -> float:
@@ -380,12 +355,12 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         return math.inf if self.act_within_s is None else self.act_within_s
 
     @property
-    def hedging(self) -> HedgeConfig | None:
+    def hedging(self) -> HedgeRule | None:
         """How calls are hedged; None if they are not."""
-        if isinstance(self.hedge, HedgeConfig):
+        if isinstance(self.hedge, HedgeRule):
             return self.hedge
         wanted = self._is_of_today if self.hedge is None else self.hedge
-        return HedgeConfig() if wanted else None
+        return HedgeRule() if wanted else None
 
     @property
     def _is_of_today(self) -> bool:
@@ -400,17 +375,6 @@ class TwoAnswersConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """The profile key of the call that the drone computes at once; a server computes the call as asked for."""
     within_s: values.Positive
     """How long after the call the better answer counts, in seconds."""
-
-
-class DeadlineConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """By when a call is answered, and how surely: [deadlines](deadlines.md)."""
-
-    s: values.Positive
-    """The time from the call to its answer, in seconds."""
-    p: values.Probability
-    """The least probability of an answer in that time, such as 0.99; without it the flight is refused."""
-    extra: values.Share = 0.1
-    """The largest share of the calls that a second server may compute too."""
 
 
 class BeforeSendingConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -454,7 +418,7 @@ class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The least time of a call on the drone, in seconds: stands in for a slower computer."""
     local_joining_slowdown: values.SharesByKey = {}
     """Simulation: the share by which calls on the drone take longer while a network is joined."""
-    deadline: DeadlineConfig | None = None
+    deadline: Deadline | None = None
     """Its calls are answered in time with a probability, with a second server's help: [deadlines](deadlines.md)."""
     two_answers: TwoAnswersConfig | None = None
     """Its calls have a first answer of the drone, and a better one of a server: [two answers](two-answers.md)."""

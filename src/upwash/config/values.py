@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
+from upwash.core import kinds
 from upwash.core.geo import GeoPosition
 from upwash.core.planning.order import SWEEPS
 from upwash.plans import FlightPlan, read_plan
@@ -71,16 +72,12 @@ class SettingsTable:
 Settings = Annotated[SettingsTable, Meta(description="a table of what the service's constructor takes")]
 PlanPath = Annotated[PlanFile, Meta(description="a plan's path, absolute or from this file's folder")]
 
-Positive = Annotated[float, Meta(gt=0, description="a number above 0")]
+Positive = kinds.Positive
 NotNegative = Annotated[float, Meta(ge=0, description="a number of at least 0")]
 Fraction = Annotated[float, Meta(ge=0, le=1, description="a number from 0 to 1")]
 Tilt = Annotated[float, Meta(ge=-90, le=90, description="a number from -90 to 90, in degrees")]
 Turn = Annotated[float, Meta(ge=-180, le=180, description="a number from -180 to 180, in degrees")]
-Share = Annotated[float, Meta(gt=0, le=1, description="a number above 0, up to 1")]
-Probability = Annotated[float, Meta(gt=0, lt=1, description="a number above 0 and below 1, such as 0.99")]
-Quantile = Annotated[
-    str, Meta(pattern=r"^p[1-9][0-9]?\Z", description='a quantile from "p1" to "p99", such as "p95"')
-]
+Share = kinds.Share
 Percent = Annotated[float, Meta(gt=0, lt=100, description="a number above 0 and below 100, in percent")]
 Latitude = Annotated[float, Meta(ge=-90, le=90, description="degrees from -90 to 90")]
 Longitude = Annotated[float, Meta(ge=-180, le=180, description="degrees from -180 to 180")]

@@ -88,7 +88,7 @@ def _deadlines(
             continue
         for operation in estimates.operations:
             if operation.service == service.name and not specs[service.name].methods[operation.method].once:
-                yield operation, Deadline(asked.s, asked.p, asked.extra)
+                yield operation, asked
 
 
 def _known_s(

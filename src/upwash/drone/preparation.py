@@ -34,7 +34,6 @@ from upwash.core.planning.mission_model import MissionBeliefs, StopCall
 from upwash.core.planning.order import Forecaster, Order, best_order
 from upwash.core.policies.policy import Policy
 from upwash.core.selection.hedging import Hedging
-from upwash.core.selection.recovery import Probing
 from upwash.core.selection.selection import Selection
 from upwash.core.selection.settings import LighterSettings, SelectionSettings, TwoAnswers
 from upwash.core.vehicle.geofence import breached_by_way
@@ -74,7 +73,7 @@ def make_selection(
             retry_s=policy.retry_s,
             radios=config.network.radios,
             gain_slot=policy.gain_slot,
-            probing=Probing(probe.first_s, probe.longest_s) if (probe := policy.probing) else None,
+            probing=policy.probing,
             lighter=_lighter(config, specs, estimates),
             two_answers=two_answers(config, specs, estimates),
             with_second=any(service.deadline for service in config.services),
@@ -182,31 +181,11 @@ def make_offloading(
         dialer=ports.dialer,
         onboard=onboard,
         journal=ports.journal,
-        hedging=make_hedging(config, selection.estimates),
+        hedging=Hedging(selection.estimates, config.policy.hedging),
         deadlines=make_deadlines(config, specs, selection.estimates),
         before_sending=before_sending,
         first=first or (photos.order if photos else "oldest" if waiting_bytes else None),
         waiting_bytes=waiting_bytes,
-    )
-
-
-def make_hedging(config: DroneConfig, estimates: Estimates) -> Hedging:
-    """The configured hedging; without `policy.hedging` it hedges no call."""
-    hedge = config.policy.hedging
-    if hedge is None:
-        return Hedging(estimates)
-    return Hedging(
-        estimates,
-        quantile=hedge.quantile,
-        budget=hedge.budget,
-        offline_s={
-            server.name: {
-                operation: delay_s
-                for operation in estimates.operations
-                if (delay_s := estimates.offline_s(server.name, operation)) is not None
-            }
-            for server in config.servers
-        },
     )
 
 
