@@ -39,8 +39,9 @@ _LAST_SPOT = 1e-6  # of the distance between spots: nearer to a row's end, the e
 def waypoints(mission: MissionConfig) -> tuple[Waypoint, ...]:
     """The mission's waypoints in the order of the file, which is the order of their indices."""
     if mission.plan is not None:
-        plan = mission.plan.plan
-        return corners(mission, plan) if mission.photos is None else planned_photos(mission, plan).waypoints
+        if mission.photos is None:
+            return corners(mission, mission.plan.plan)
+        return planned_photos(mission).waypoints
     step_m = None if mission.photos is None else mission.photos.step_m(mission.ground_speed_m_s)
     if step_m is None:
         return tuple(Waypoint(index, place) for index, place in enumerate(_places(mission)))
@@ -50,16 +51,12 @@ def waypoints(mission: MissionConfig) -> tuple[Waypoint, ...]:
 
 def leaving(mission: MissionConfig) -> tuple[Via, ...]:
     """The places of a plan that the drone flies to after its last waypoint: those after its last photo."""
-    if mission.plan is None or mission.photos is None:
-        return ()
-    return planned_photos(mission, mission.plan.plan).leaving
+    return planned_photos(mission).leaving
 
 
 def planned_way(mission: MissionConfig) -> tuple[Position, ...]:
     """The places of a plan between which a drone that photographs in flight flies straight."""
-    if mission.plan is None or mission.photos is None:
-        return ()
-    return planned_photos(mission, mission.plan.plan).way
+    return planned_photos(mission).way
 
 
 def corners(mission: MissionConfig, plan: FlightPlan) -> tuple[Waypoint, ...]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Literal, Protocol, get_args
+from typing import Literal, get_args
 
+from msgspec import Struct
 from msgspec.structs import replace
 
 from upwash.config import (
@@ -84,36 +85,16 @@ def make_selection(
     )
 
 
-class CallPorts(Protocol):
-    """The ports that calls need; `networks` has one for each radio."""
+class CallPorts(Struct, frozen=True, kw_only=True):
+    """The ports that calls need; `networks` has one for each radio, `finder` looks up addresses."""
 
-    @property
-    def autopilot(self) -> Whereabouts:
-        """Where the drone is."""
-
-    @property
-    def networks(self) -> Sequence[Network]:
-        """A network for each radio."""
-
-    @property
-    def dialer(self) -> Dialer:
-        """Opens links to servers."""
-
-    @property
-    def onboard_dialer(self) -> Dialer:
-        """Opens links to the drone's own services."""
-
-    @property
-    def onboard_runtime(self) -> Runtime:
-        """Starts the drone's own services."""
-
-    @property
-    def journal(self) -> Journal:
-        """The event log."""
-
-    @property
-    def finder(self) -> Finder | None:
-        """Looks up addresses that the configuration does not have."""
+    autopilot: Whereabouts
+    networks: Sequence[Network]
+    dialer: Dialer
+    onboard_dialer: Dialer
+    onboard_runtime: Runtime
+    journal: Journal
+    finder: Finder | None = None
 
 
 def onboard_services(
@@ -193,18 +174,22 @@ def make_estimates(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Est
     """The offline estimates of every operation that has a local delay in the file, or that only servers run."""
     for service in config.services:
         _require_agreement(service, specs[service.name])
-    profiled = {service.name: dict(_profile(service, specs[service.name])) for service in config.services}
+    profiled = [
+        (service, operation, key)
+        for service in config.services
+        for operation, key in _profile(service, specs[service.name])
+    ]
     less = {
         operation: part
-        for service in config.services
-        for operation, part in _less(service, specs[service.name])
+        for service, operation, key in profiled
+        if specs[service.name].methods[operation.method].before is not None
+        and (part := _less(service, operation, key)) is not None
     }
     return Estimates(
         local_s={
-            operation: config_service.local_call_s[key]
-            for config_service in config.services
-            for operation, key in profiled[config_service.name].items()
-            if specs[config_service.name].on_drone
+            operation: service.local_call_s[key]
+            for service, operation, key in profiled
+            if specs[service.name].on_drone
         },
         servers={
             server.name: Beliefs(
@@ -212,15 +197,13 @@ def make_estimates(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Est
                 check_running_s=server.check_running_s,
                 remote_s={
                     operation: delay_s
-                    for service in config.services
-                    for operation, key in profiled[service.name].items()
+                    for service, operation, key in profiled
                     if not specs[service.name].methods[operation.method].once
                     and (delay_s := _remote_s(server, service, key)) is not None
                 },
                 transfer_s={
                     operation: 8 * service.request_bytes / server.bandwidth_bit_s
-                    for service in config.services
-                    for operation in profiled[service.name]
+                    for service, operation, _ in profiled
                     if operation in less and server.bandwidth_bit_s is not None
                 },
             )
@@ -248,16 +231,13 @@ def _require_agreement(service: ServiceConfig, spec: ServiceSpec) -> None:
         )
 
 
-def _less(service: ServiceConfig, spec: ServiceSpec) -> Iterator[tuple[Operation, Less]]:
-    """What the part before sending does to each operation that it has, and whose loss is known."""
-    measured = service.before_sending
-    if measured is None:
-        return
-    for operation, key in _profile(service, spec):
-        names = [name for name in (key, operation.method, "") if name in measured.loss]
-        if names and spec.methods[operation.method].before is not None:
-            share = measured.request_bytes / max(1, service.request_bytes)
-            yield operation, Less(measured.takes_s, share, measured.loss[names[0]])
+def _less(service: ServiceConfig, operation: Operation, key: str) -> Less | None:
+    """What the part before sending does to the operation; None without a part, or if its loss is unknown."""
+    if (measured := service.before_sending) is None:
+        return None
+    names = [name for name in (key, operation.method, "") if name in measured.loss]
+    share = measured.request_bytes / max(1, service.request_bytes)
+    return Less(measured.takes_s, share, measured.loss[names[0]]) if names else None
 
 
 def endpoints(
