@@ -31,7 +31,6 @@ from upwash.config.drone import (
     NetworkConfig,
     PhotosConfig,
     PolicyConfig,
-    RosConfig,
     SafeEnd,
     SecondLook,
     ServerConfig,
@@ -57,10 +56,8 @@ from upwash.config.flight_times import (
     usable_s,
 )
 from upwash.config.inventory import ListedServer, read_inventory
-from upwash.config.measured import track_of
-from upwash.config.photo_ground import PhotoGround, photo_ground
+from upwash.config.photo_ground import photo_ground
 from upwash.config.places import (
-    AltitudesAboveSea,
     altitudes_above_sea,
     coverage_kept,
     coverage_of,
@@ -79,13 +76,14 @@ from upwash.config.places import (
     server_position,
     stands,
     sweeps_of,
+    track_of,
     true_areas,
     true_range_m,
     waypoints,
 )
 from upwash.config.plan_photos import PhotoLeg, photo_legs
-from upwash.config.problems import impossible_values, repeated, unknown
-from upwash.config.reading import Document, convert, read_document, refuse_first
+from upwash.config.problems import impossible_values
+from upwash.config.reading import Document, convert, read_document
 from upwash.config.runtime import RuntimeConfig
 from upwash.config.traces import read_battery, read_wind
 from upwash.config.truth import ServerTruth, server_truth

@@ -20,7 +20,6 @@ from upwash.config.drone import (
     ServiceConfig,
 )
 from upwash.config.flight_times import finish_by_s
-from upwash.config.measured import flight_problems, times_problems, truth_problems
 from upwash.config.places import (
     corners,
     geofence,
@@ -28,16 +27,20 @@ from upwash.config.places import (
     measured_servers,
     row_ends,
     sweeps_of,
+    track_of,
+    waypoints,
 )
 from upwash.config.plan_photos import MOST_SPOTS, speed_set_at
 from upwash.config.problems import Problem, below, listed, metrics_problems, name_problems, repeated, unknown
 from upwash.config.shorthand import is_file
-from upwash.config.truth import ServerTruth, server_truth
+from upwash.config.traces import read_battery, read_goodput_trace, read_service_times, read_wind
+from upwash.config.truth import ServerTruth, keys_of, server_truth
 from upwash.config.user import user_problems
 from upwash.config.values import MDNS, is_address
 from upwash.config.world import RADIOS, FaultConfig, TruthConfig
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.vehicle.geofence import breached_by_leg, breached_by_position, breached_by_way
+from upwash.core.vehicle.track import NEAR_M, Track
 from upwash.mavlink.connection import parse_connection
 from upwash.plans import FlightPlan
 
@@ -68,7 +71,7 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
     yield from _two_answers_problems(config)
     yield from _deadline_problems(config)
     yield from _battery_problems(config)
-    yield from flight_problems(config)
+    yield from _flight_problems(config)
     yield from _camera_problems(config.camera)
     yield from user_problems(config.user)
     if config.event is not None and config.camera.park_seed is not None:
@@ -315,6 +318,54 @@ def _battery_problems(config: DroneConfig) -> Iterator[Problem]:
         yield "energy.computer_load_w", problem
 
 
+def _flight_problems(config: DroneConfig) -> Iterator[Problem]:
+    vehicle = config.vehicle
+    if vehicle.wind_csv is not None:
+        read_wind(vehicle.wind_csv)
+    if vehicle.battery_csv is not None:
+        read_battery(vehicle.battery_csv)
+        if vehicle.endurance_s is not None or (config.energy and config.energy.battery_wh is not None):
+            beside = "vehicle.endurance_s" if vehicle.endurance_s is not None else "energy.battery_wh"
+            yield (
+                "vehicle.battery_csv",
+                f"{beside} says too how long the battery lasts: leave one of the two out",
+            )
+    if (track := track_of(vehicle, config.mission)) is not None:
+        yield from _track_problems(track, config)
+
+
+def _track_problems(track: Track, config: DroneConfig) -> Iterator[Problem]:
+    key = "vehicle.track_csv"
+    if config.drones:
+        yield (
+            key,
+            "a track is one vehicle's, and the file has [[drone]] tables: leave them, or the track, out",
+        )
+        return
+    if any(fault.target == "autopilot" for fault in config.faults):
+        yield key, "a fault of the autopilot would take the vehicle off its track: leave one of the two out"
+    if config.event is not None:
+        yield key, "an answer with a demand would turn the vehicle back: leave [event], or the track, out"
+    if track.risen_s(config.mission.altitude_m) is None:
+        highest_m = max(place.altitude_m for place in track.places)
+        yield (
+            key,
+            f"it rises to {highest_m:.1f} m, and mission.altitude_m is {config.mission.altitude_m:g}: set that lower,"
+            " or give altitudes above home",
+        )
+    passed_s = 0.0
+    for waypoint in waypoints(config.mission):
+        at_s = track.passing_s(waypoint.position, after_s=passed_s)
+        if at_s is None:
+            near_m = track.nearest_m(waypoint.position)
+            where, remedy = f"is {near_m:.0f} m from the track", f"give waypoints within {NEAR_M:g} m of it"
+            if near_m <= NEAR_M:
+                where, remedy = "is not passed after the one before", "give waypoints in the track's order"
+            yield key, f"waypoint {waypoint.index} {where}: {remedy}"
+            return
+        passed_s = at_s
+
+
 def _camera_problems(camera: CameraConfig) -> Iterator[Problem]:
     found = _given(camera, _SOURCES)
     if camera.bag is not None and camera.topic is not None:
@@ -418,7 +469,7 @@ def _server_problems(server: ServerConfig, config: DroneConfig) -> Iterator[Prob
     yield from _times_problems("processing_s", server.processing_s, config.services)
     yield from _times_problems("remote_call_s", server.remote_call_s, config.services)
     if server.times_csv is not None:
-        yield from times_problems("times_csv", server.times_csv, config.services)
+        yield from _measured_problems("times_csv", server.times_csv, config.services)
     yield from below("truth", _truth_problems(server.truth, config.services))
     truth, turn_s = server_truth(server, config.services), server.truth.turn_s
     if turn_s is not None and turn_s < truth.join_s:
@@ -440,9 +491,23 @@ def _truth_problems(truth: TruthConfig, services: Sequence[ServiceConfig]) -> It
     for image in truth.images or ():
         if image not in names:
             yield "images", unknown("service", image, names)
-    yield from truth_problems(truth, services)
+    if truth.service_csv is not None:
+        yield from _measured_problems("service_csv", truth.service_csv, services)
+    if truth.goodput_csv is not None:
+        read_goodput_trace(truth.goodput_csv)
+        if truth.radio != "fixed":
+            yield "radio", "goodput_csv says how fast the link is: leave one of the two out"
     if truth.radio not in RADIOS and not is_file(Path(truth.radio)):
         yield "radio", f"no file {truth.radio}: give {listed(RADIOS)} or a csv file of goodput by distance"
+
+
+def _measured_problems(key: str, file: Path, services: Sequence[ServiceConfig]) -> Iterator[Problem]:
+    for operation in read_service_times(file):
+        if not any(keys_of(operation, services)):
+            known = listed(
+                sorted({key or service.name for service in services for key in service.local_call_s})
+            )
+            yield key, f"{operation} is no operation with a local_call_s: name one of {known}"
 
 
 def _place_problems(server: ServerConfig, mission: MissionConfig) -> Iterator[Problem]:

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import msgspec
 
-from upwash.config.drone import DroneConfig, GridConfig, MissionConfig, ServerConfig
+from upwash.config.drone import DroneConfig, GridConfig, MissionConfig, ServerConfig, VehicleConfig
 from upwash.config.plan_photos import planned_photos
+from upwash.config.traces import read_track
 from upwash.config.values import HomeConfig, PlanFile
 from upwash.core.geo import (
     Circle,
@@ -31,6 +32,7 @@ from upwash.core.knowledge.coverage import Coverage
 from upwash.core.planning.demand_map import DemandMap, near_m
 from upwash.core.planning.order import Sweep, sweeps
 from upwash.core.vehicle.geofence import Fence
+from upwash.core.vehicle.track import Track
 from upwash.plans import Ending, FlightPlan
 
 _LAST_SPOT = 1e-6  # of the distance between spots: nearer to a row's end, the end is a spot
@@ -157,33 +159,12 @@ def file_notices(config: DroneConfig) -> list[str]:
     return list(dict.fromkeys((*damaged, *plans)))
 
 
-@dataclass(frozen=True, slots=True)
-class AltitudesAboveSea:
-    """The part of a plan's altitudes that counts from the sea; all in metres above it, as ground stations have it.
-
-    `item` is the first such item. `home_m` is the planned home's altitude, None where the plan does not know it or
-    the mission has another home. `reference_m` is what `Waypoint.position` was converted with: `home_m`, or an
-    assumed altitude of home. `takeoff_m` is what `mission.altitude_m` comes from, None where that counts from home.
-    The altitudes of waypoints are in `Waypoint.above_sea_m`.
-    """
-
-    item: int
-    home_m: float | None
-    reference_m: float
-    takeoff_m: float | None
-
-
-def altitudes_above_sea(mission: MissionConfig) -> AltitudesAboveSea | None:
-    """What the mission's plan says of altitudes above the sea; None where all altitudes count from home."""
+def altitudes_above_sea(mission: MissionConfig) -> FlightPlan | None:
+    """The mission's plan, if it counts altitudes from the sea; its home's altitude, if that is the mission's home."""
     plan = mission.plan.plan if mission.plan is not None else None
     if plan is None or plan.above_sea_level is None:
         return None
-    return AltitudesAboveSea(
-        item=plan.above_sea_level,
-        home_m=plan.home_above_sea_m if is_planned_home(mission, plan) else None,
-        reference_m=plan.reference_above_sea_m,
-        takeoff_m=plan.takeoff_above_sea_m,
-    )
+    return plan if is_planned_home(mission, plan) else replace(plan, home_above_sea_m=None)
 
 
 def is_planned_home(mission: MissionConfig, plan: FlightPlan) -> bool:
@@ -271,6 +252,20 @@ def _reach(server: ServerConfig, config: DroneConfig, radius_m: float | None) ->
     if radius_m is None:
         return Measured()
     return Circle(server_position(server, config.mission.home), radius_m)
+
+
+def track_of(vehicle: VehicleConfig, mission: MissionConfig) -> Track | None:
+    """The track that the simulated vehicle flies; None without one. Raises ConfigError for a file that is none.
+
+    Times count from the file's first row. Without altitudes the track is as high as the mission's take-off.
+    """
+    if vehicle.track_csv is None:
+        return None
+    rows = read_track(vehicle.track_csv, frame_of(mission)).rows
+    return Track(
+        [row[0] - rows[0][0] for row in rows],
+        [Position(row[1], row[2], max(0.0, row[3]) if row[3:] else mission.altitude_m) for row in rows],
+    )
 
 
 def frame_of(mission: MissionConfig) -> LocalFrame | None:

@@ -26,7 +26,6 @@ _CERTAIN = 1000  # calls that all take as long: those of the drone's own service
 class DeadlineProspect(Struct, frozen=True):
     """What can be had of an operation's deadline at the waypoint where that is least, and where it is too little."""
 
-    service: str
     operation: Operation
     deadline: Deadline
     least: Prospect
@@ -130,10 +129,8 @@ def _prospects(
             if estimates.remote_s(server.name, operation) is not None
         }
         joins = hedging is not None and local_s is not None and local_s <= deadline.within_s
-        onboard, miss = (
-            Delays([local_s or 0.0] * _CERTAIN),
-            MISS / 2 if joins else MISS,
-        )  # of two plans, or of one
+        onboard = Delays([local_s or 0.0] * _CERTAIN)
+        miss = MISS / 2 if joins else MISS  # of two plans, or of one
         found: list[tuple[Prospect, str, int]] = []
         for waypoint in plan:
             near = sorted(
@@ -154,7 +151,7 @@ def _prospects(
         if found:
             least, where, _ = min(found, key=lambda one: one[0].probability)
             short = tuple(index for had, _, index in found if had.probability < deadline.probability)
-            yield DeadlineProspect(operation.service, operation, deadline, least, where, short)
+            yield DeadlineProspect(operation, deadline, least, where, short)
 
 
 def _second(config: DroneConfig, near: Sequence[str]) -> str | None:
@@ -198,7 +195,7 @@ def _refusal(one: DeadlineProspect, waypoints: int) -> str:
     if len(one.short_of) > 1:
         where = f"{len(one.short_of)} of {waypoints} waypoints, such as {one.short_of[0]}"
     return (
-        f"service.{one.service}.deadline: {one.operation} is answered within {asked.within_s:g} s with a probability "
-        f"of {_least(one.least)} at least, and {asked.probability:g} is asked for: it is less at {where}: "
+        f"service.{one.operation.service}.deadline: {one.operation} is answered within {asked.within_s:g} s with a "
+        f"probability of {_least(one.least)} at least, and {asked.probability:g} is asked for: it is less at {where}: "
         f"{one.where}; or ask for a lower p, or a longer s"
     )
