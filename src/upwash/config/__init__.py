@@ -100,7 +100,6 @@ from upwash.config.world import (
     EnergyConfig,
     EventConfig,
     FaultConfig,
-    HeatConfig,
     Lie,
     NoiseConfig,
     ObjectConfig,

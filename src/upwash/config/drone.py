@@ -13,11 +13,12 @@ from msgspec.structs import replace
 from upwash.config import values
 from upwash.config.kept_maps import CoverageFile, DemandFile
 from upwash.config.user import UserConfig
-from upwash.config.world import EnergyConfig, EventConfig, FaultConfig, HeatConfig, NoiseConfig, TruthConfig
+from upwash.config.world import EnergyConfig, EventConfig, FaultConfig, NoiseConfig, TruthConfig
 from upwash.core.policies.names import POLICIES, is_own
 from upwash.core.selection.deadlines import Deadline
 from upwash.core.selection.hedging import HedgeRule
 from upwash.core.selection.recovery import Probing
+from upwash.support.heat import Surroundings
 
 FieldOfView = Annotated[float, Meta(ge=1, le=170, description="a number from 1 to 170, in degrees")]
 AtLeastOneSecond = Annotated[float, Meta(ge=1, description="a number of at least 1, in seconds")]
@@ -532,7 +533,7 @@ class DroneConfig(
     servers: Annotated[
         tuple[ServerConfig, ...], Meta(description="tables that each begin with [[server]]")
     ] = ()
-    heat: HeatConfig | None = None
+    heat: Surroundings | None = None
     energy: EnergyConfig | None = None
     event: EventConfig | None = None
     noise: NoiseConfig = NoiseConfig()

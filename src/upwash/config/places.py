@@ -169,10 +169,7 @@ def altitudes_above_sea(mission: MissionConfig) -> FlightPlan | None:
 
 def is_planned_home(mission: MissionConfig, plan: FlightPlan) -> bool:
     """Whether the mission's home is the plan's."""
-    planned, home = plan.home, mission.home
-    if planned is None or home is None:
-        return planned is None and home is None
-    return (planned.latitude_deg, planned.longitude_deg) == (home.latitude_deg, home.longitude_deg)
+    return (None if plan.home is None else HomeConfig.at(plan.home)) == mission.home
 
 
 def ending(mission: MissionConfig) -> Ending:

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from upwash.core import kinds
+from upwash import kinds
 from upwash.core.geo import GeoPosition
 from upwash.core.planning.order import SWEEPS
 from upwash.plans import FlightPlan, read_plan
@@ -73,7 +73,7 @@ Settings = Annotated[SettingsTable, Meta(description="a table of what the servic
 PlanPath = Annotated[PlanFile, Meta(description="a plan's path, absolute or from this file's folder")]
 
 Positive = kinds.Positive
-NotNegative = Annotated[float, Meta(ge=0, description="a number of at least 0")]
+NotNegative = kinds.NotNegative
 Fraction = Annotated[float, Meta(ge=0, le=1, description="a number from 0 to 1")]
 Tilt = Annotated[float, Meta(ge=-90, le=90, description="a number from -90 to 90, in degrees")]
 Turn = Annotated[float, Meta(ge=-180, le=180, description="a number from -180 to 180, in degrees")]

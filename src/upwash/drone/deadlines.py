@@ -196,6 +196,6 @@ def _refusal(one: DeadlineProspect, waypoints: int) -> str:
         where = f"{len(one.short_of)} of {waypoints} waypoints, such as {one.short_of[0]}"
     return (
         f"service.{one.operation.service}.deadline: {one.operation} is answered within {asked.within_s:g} s with a "
-        f"probability of {_least(one.least)} at least, and {asked.probability:g} is asked for: it is less at {where}: "
-        f"{one.where}; or ask for a lower p, or a longer s"
+        f"probability of {_least(one.least)} at least, and {asked.probability:g} is asked for: it is less at "
+        f"{where}: {one.where}; or ask for a lower p, or a longer s"
     )

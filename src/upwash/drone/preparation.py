@@ -48,7 +48,6 @@ from upwash.drone.server_session import ServerEndpoint
 from upwash.errors import UsageError
 from upwash.ports import Dialer, Finder, InstanceSpec, Journal, Network, Program, Runtime, Whereabouts
 from upwash.rpc.service import Method, ServiceSpec, spec_of
-from upwash.support.heat import Surroundings
 from upwash.support.text import counted
 
 
@@ -101,12 +100,13 @@ def onboard_services(
     config: DroneConfig, specs: Mapping[str, ServiceSpec], programs: Mapping[str, Program], ports: CallPorts
 ) -> OnboardServices:
     """The configured services on the drone, which are yet to be started."""
-    heats = Surroundings(config.heat.ambient_c, config.heat.load_w) if config.heat else None
     return _started_by(
         ports,
         config,
         [
-            InstanceSpec(config.name, service.name, programs[service.name], service.local_pace_s, heats=heats)
+            InstanceSpec(
+                config.name, service.name, programs[service.name], service.local_pace_s, heats=config.heat
+            )
             for service in config.services
             if specs[service.name].on_drone
         ],

@@ -23,9 +23,9 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from upwash.core.kinds import Positive, Share
 from upwash.core.operation import Operation
 from upwash.core.selection.shares import calls_for, hits_for, least_share
+from upwash.kinds import Positive, Share
 
 MISS = 0.05  # the probability that a promise is too high
 _BOUNDS = 3  # of two servers

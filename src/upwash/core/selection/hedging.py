@@ -13,10 +13,10 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from upwash.core.kinds import Share
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.operation import Operation
 from upwash.core.policies.policy import Remote
+from upwash.kinds import Share
 
 _WINDOW_LENGTH = 100  # delays; 19 are needed to tell a p95, 99 a p99
 _EXCEEDS_BY_S = 0.001  # or calls that all take equally long would each be hedged as they are answered

@@ -7,4 +7,5 @@ from typing import Annotated
 from msgspec import Meta
 
 Positive = Annotated[float, Meta(gt=0, description="a number above 0")]
+NotNegative = Annotated[float, Meta(ge=0, description="a number of at least 0")]
 Share = Annotated[float, Meta(gt=0, le=1, description="a number above 0, up to 1")]
