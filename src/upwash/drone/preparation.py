@@ -410,18 +410,14 @@ _WAYS_HOME = {"arducopter": ARDUCOPTER, "px4": PX4}
 def order_of(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Order:
     """The order of the waypoints by `mission.order`, for a configuration that was read from a file."""
     mission = config.mission
-    match mission.order:
-        case int(number):
-            sweep = sweeps_of(mission)[number]
-            return Order(sweep.waypoints, str(sweep), number)
-        case "best-sweep":
-            return _best(config, specs)
-    return Order(waypoints(mission))
-
-
-def _best(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Order:
-    mission, estimates = config.mission, make_estimates(config, specs)
-    given, fences = waypoints(mission), geofence(mission)
+    given = waypoints(mission)
+    if mission.order in ("given", "by-index"):  # which is given too, of a drone that is none of several
+        return Order(given)
+    possible = sweeps_of(mission)
+    if isinstance(mission.order, int):
+        sweep = possible[mission.order]
+        return Order(sweep.waypoints, str(sweep), mission.order)
+    estimates = make_estimates(config, specs)
     beliefs = mission_beliefs(config, specs, estimates, given)
     if not beliefs.stop:
         return Order(given, "as given: nothing is known of any call that could be forecast")
@@ -434,15 +430,17 @@ def _best(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Order:
         stands=start,
         home_s=lambda place: home_s(config, place, start),
     )
-    sweeps = sweeps_of(mission)
+    fences = geofence(mission)
     allowed = [
         sweep
-        for sweep in sweeps
+        for sweep in possible
         if breached_by_way(fences, [_HOME, *(waypoint.position for waypoint in sweep.waypoints)]) is None
     ]
     best = best_order(given, allowed, forecaster.mission_s)
-    if len(allowed) < len(sweeps):
-        forbidden = f"the geofence forbids {len(sweeps) - len(allowed)} of {counted(len(sweeps), 'sweep')}"
+    if len(allowed) < len(possible):
+        forbidden = (
+            f"the geofence forbids {len(possible) - len(allowed)} of {counted(len(possible), 'sweep')}"
+        )
         return replace(best, why=f"{best.why}; {forbidden}")
     return best
 
