@@ -573,12 +573,11 @@ def _belief_problems(
     for service in offered:
         for key in service.local_call_s:
             operation = f"{service.name}[{key}]" if key else service.name
-            if key in server.remote_call_s.get(service.name, {}):
-                pass
-            elif key not in server.processing_s.get(service.name, {}):
-                yield "remote_call_s", f"nothing for {operation}: add it, or its processing_s"
-            elif server.bandwidth_bit_s is None:
-                yield "bandwidth_bit_s", f"missing, and {operation} has no remote_call_s: add one of them"
+            if key not in server.remote_call_s.get(service.name, {}):
+                if key not in server.processing_s.get(service.name, {}):
+                    yield "remote_call_s", f"nothing for {operation}: add it, or its processing_s"
+                elif server.bandwidth_bit_s is None:
+                    yield "bandwidth_bit_s", f"missing, and {operation} has no remote_call_s: add one of them"
             if service.name in images:
                 yield from _true_call_problems(server, truth, service, key, operation)
 
