@@ -23,12 +23,12 @@ from upwash.config import (
     ServerConfig,
     ServiceConfig,
 )
-from upwash.config.drone import HedgeConfig
+from upwash.core.selection.hedging import HedgeRule
 from upwash.eventlog import schema
 from upwash.lab.run import Run, simulate
 
 SEEDS = 30
-HEDGES = {"without": None, "with": HedgeConfig()}
+HEDGES = {"without": None, "with": HedgeRule()}
 WAYS: dict[str, FaultConfig | None] = {
     "nothing": None,
     "answers 3 s late": FaultConfig(target="", kind="slow", extra_s=3.0),
@@ -54,7 +54,7 @@ def main() -> None:
             print(f"| {what} | {hedging} | {line(runs)} |", flush=True)
 
 
-def world(seed: int, way: FaultConfig | None, hedge: HedgeConfig | None) -> DroneConfig:
+def world(seed: int, way: FaultConfig | None, hedge: HedgeRule | None) -> DroneConfig:
     """The survey with a third of its servers faulty in that way, and hedging."""
     chance = random.Random(seed)
     names = [f"s{number}" for number in range(9)]

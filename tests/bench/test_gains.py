@@ -10,7 +10,8 @@ from bench.gains.ladder import LADDER, Part, fly, worlds
 from bench.gains.shares import MeasuredWorld, measured_worlds
 from bench.gains.tables import tables
 
-from upwash.config.drone import HedgeConfig, ProbeConfig
+from upwash.core.selection.hedging import HedgeRule
+from upwash.core.selection.recovery import Probing
 
 VARIANTS = ("local-only", "one", "same", "more")
 # Of 100 s that can be gained "one" gains 60 and 80 s, and "more" 10 and 20 s on top of that.
@@ -67,9 +68,9 @@ def test_missions_are_read_as_they_were_written(tmp_path: Path) -> None:
 
 def test_the_last_variant_is_what_upwash_does_by_default() -> None:
     (*before, last) = (variant.enters(next(worlds()).config_of(1)).policy for variant in LADDER)
-    assert (last.name, last.probing, last.hedging) == ("look-ahead", ProbeConfig(), HedgeConfig())
+    assert (last.name, last.probing, last.hedging) == ("look-ahead", Probing(), HedgeRule())
     assert not any(policy.probing for policy in before)
-    assert [policy.hedging for policy in before] == [None] * 5 + [HedgeConfig()]
+    assert [policy.hedging for policy in before] == [None] * 5 + [HedgeRule()]
 
 
 def test_the_kept_missions_are_of_the_worlds_and_variants_that_there_are() -> None:

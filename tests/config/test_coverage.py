@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from upwash.config.coverage import CoverageFile
 from upwash.config.drone_file import read_drone_config
-from upwash.config.kept_places import FORGOTTEN_AFTER
+from upwash.config.kept_maps import FORGOTTEN_AFTER, CoverageFile
 from upwash.config.places import coverage_of, server_areas, true_areas
 from upwash.core.geo import GeoPosition, Position
 from upwash.core.knowledge.coverage import Coverage

@@ -8,8 +8,7 @@ import pytest
 from tests.scenarios import scenario
 
 from upwash.config import demand_map_of, demands_kept, waypoints
-from upwash.config.demand_map import DemandFile
-from upwash.config.kept_places import FORGOTTEN_AFTER
+from upwash.config.kept_maps import FORGOTTEN_AFTER, DemandFile
 from upwash.core.geo import GeoPosition, Position
 from upwash.core.planning.demand_map import DemandMap
 from upwash.errors import ConfigError

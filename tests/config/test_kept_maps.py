@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from upwash.config.coverage import CoverageFile
-from upwash.config.demand_map import DemandFile
+from upwash.config.kept_maps import CoverageFile, DemandFile
 from upwash.core.geo import FARTHEST_M, GeoPosition, Position
 from upwash.core.knowledge.coverage import Coverage
 from upwash.core.operation import Operation

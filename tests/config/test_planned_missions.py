@@ -14,9 +14,9 @@ from tests import events
 
 from upwash import Drone
 from upwash.config import (
-    AltitudesAboveSea,
     DroneConfig,
     HomeConfig,
+    MissionConfig,
     altitudes_above_sea,
     ending,
     file_notices,
@@ -95,12 +95,22 @@ def test_without_a_takeoff_the_drone_climbs_to_its_first_waypoint(tmp_path: Path
     assert read(tmp_path, plan=plan).mission.altitude_m == 25.0
 
 
+def from_sea(mission: MissionConfig) -> tuple[int | None, float | None, float, float | None]:
+    """The first item that counts from the sea; the altitude of home, the one converted with, that of the take-off."""
+    plan = altitudes_above_sea(mission)
+    assert plan is not None
+    return (
+        plan.above_sea_level,
+        plan.home_above_sea_m,
+        plan.reference_above_sea_m,
+        plan.takeoff_above_sea_m,
+    )
+
+
 def test_altitudes_above_the_sea_stay_known_beside_the_plans_home(tmp_path: Path) -> None:
     mission = read(tmp_path, plan=LIST).mission
     assert [waypoint.above_sea_m for waypoint in waypoints(mission)] == [None, 130.0, None]
-    assert altitudes_above_sea(mission) == AltitudesAboveSea(
-        item=4, home_m=100, reference_m=100, takeoff_m=None
-    )
+    assert from_sea(mission) == (4, 100, 100, None)
     assert altitudes_above_sea(read(tmp_path, plan=LIST.replace("\t0\t0\t16", "\t0\t3\t16")).mission) is None
 
 
@@ -119,7 +129,7 @@ def above_sea(*altitudes_m: float, home_m: float | None, takeoff: bool = False) 
 
 def test_an_altitude_of_home_that_the_plan_does_not_know_is_assumed(tmp_path: Path) -> None:
     mission = read(tmp_path, plan=above_sea(530, 540, home_m=None)).mission
-    assert altitudes_above_sea(mission) == AltitudesAboveSea(1, home_m=None, reference_m=510, takeoff_m=530)
+    assert from_sea(mission) == (1, None, 510, 530)
     assert [waypoint.position.altitude_m for waypoint in waypoints(mission)] == [20, 30]
     assert mission.altitude_m == 20
 
@@ -130,7 +140,7 @@ def test_a_takeoff_above_the_sea_counts_unless_the_configuration_names_an_altitu
         altitudes_above_sea(read(tmp_path, plan=plan, mission=line).mission)
         for line in ("", "altitude_m = 30.0")
     ]
-    assert [each and each.takeoff_m for each in found] == [530, None]
+    assert [each and each.takeoff_above_sea_m for each in found] == [530, None]
 
 
 def test_a_plan_among_others_is_one_too_many(tmp_path: Path) -> None:
@@ -158,9 +168,7 @@ def test_altitudes_above_the_sea_need_no_home_in_the_plan(tmp_path: Path) -> Non
     homeless = LIST.replace("39.3666\t22.9507\t100", "0\t0\t0")
     home = "home = { latitude_deg = 39.3666, longitude_deg = 22.9507 }"
     mission = read(tmp_path, plan=homeless, mission=home).mission
-    assert altitudes_above_sea(mission) == AltitudesAboveSea(
-        item=4, home_m=None, reference_m=110, takeoff_m=None
-    )
+    assert from_sea(mission) == (4, None, 110, None)
 
 
 def square(*, north_deg: float) -> list[list[float]]:

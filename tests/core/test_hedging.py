@@ -7,18 +7,18 @@ import pytest
 from upwash.core.knowledge.estimates import Beliefs, Estimates
 from upwash.core.operation import Operation
 from upwash.core.policies.policy import Remote
-from upwash.core.selection.hedging import Hedge, Hedging, quantile_s
+from upwash.core.selection.hedging import Hedge, HedgeRule, Hedging, quantile_s
 
 HEAVY = Operation("detector", "process_photo", "heavy")
 EXCEEDS_BY_S = 0.001
 
 
-def hedging(*, quantile: float = 0.95, budget: float = 0.1) -> Hedging:
+def hedging(rule: HedgeRule | None = HedgeRule()) -> Hedging:  # noqa: B008 - a value
     """Of a drone that needs 10 s for a call."""
     remote_s = {"s1": {HEAVY: 0.7}, "s2": {HEAVY: 2.0}}
     servers = {server: Beliefs(10.0, 3.0, delays_s) for server, delays_s in remote_s.items()}
     estimates = Estimates(local_s={HEAVY: 10.0}, servers=servers)
-    return Hedging(estimates, quantile=quantile, budget=budget, offline_s=remote_s)
+    return Hedging(estimates, rule)
 
 
 def plan(
@@ -46,7 +46,7 @@ def test_a_quantile_is_told_by_enough_delays() -> None:
 
 
 def test_what_was_long_ago_is_forgotten() -> None:
-    new = hedging(quantile=0.99)
+    new = hedging(HedgeRule(after="p99"))
     new.called(HEAVY)
     for delay_s in (50.0, *[0.7] * 100):
         new.answered("s1", HEAVY, delay_s)
@@ -71,7 +71,7 @@ def test_the_drone_starts_at_the_ordinary_deadline_at_the_latest() -> None:
 
 
 def test_work_for_nothing_is_paid_for_by_later_calls() -> None:
-    new = hedging(budget=0.1)
+    new = hedging(HedgeRule(budget=0.1))
     new.called(HEAVY)
     new.overtaken(Hedge(1.0, 11.0), Remote("s1", 2.8, ""), HEAVY, onboard_s=1.8)
     for _ in range(9):
@@ -83,14 +83,14 @@ def test_work_for_nothing_is_paid_for_by_later_calls() -> None:
 
 
 def test_an_answer_after_the_ordinary_deadline_adds_no_work() -> None:
-    new = hedging(budget=0.1)
+    new = hedging(HedgeRule(budget=0.1))
     new.called(HEAVY)
     new.overtaken(Hedge(1.0, 11.0), Remote("s1", 2.8, ""), HEAVY, onboard_s=1.9)
     assert plan(new) is not None
 
 
 def test_no_call_is_hedged_without_a_budget_or_behind_a_loser_or_of_an_unknown_delay() -> None:
-    new, off = hedging(), hedging(budget=0.0)
+    new, off = hedging(), hedging(None)
     for each in (new, off):
         each.called(HEAVY)
     assert plan(off) is None

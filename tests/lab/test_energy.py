@@ -15,12 +15,13 @@ from tests.scenarios import scenario, server
 
 import upwash
 from upwash.cli.main import main
-from upwash.config import DroneConfig, EnergyConfig, HeatConfig
+from upwash.config import DroneConfig, EnergyConfig
 from upwash.errors import ConfigError
 from upwash.eventlog import schema
 from upwash.eventlog.results import EnergyTotals
 from upwash.lab.bounds import bound_of
 from upwash.lab.run import Run, simulate
+from upwash.support.heat import Surroundings
 
 ROOT = Path(__file__).parents[2]
 THESIS, BATTERY = ROOT / "scenarios" / "thesis.toml", ROOT / "scenarios" / "thesis-battery.toml"
@@ -192,7 +193,7 @@ def test_the_page_has_what_is_drawn() -> None:
 def test_the_page_shows_the_defaults() -> None:
     (block,) = re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / "energy.md").read_text(), flags=re.DOTALL)
     shown = tomllib.loads(block)["energy"]
-    assert shown.pop("computer_load_w") == HeatConfig().load_w
+    assert shown.pop("computer_load_w") == Surroundings().load_w
     defaults = msgspec.structs.asdict(EnergyConfig(battery_wh=shown["battery_wh"]))
     assert defaults.pop("computer_load_w") is None
     assert shown == defaults

@@ -16,8 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.config import read_document, read_drone_config
-from upwash.config.coverage import CoverageFile
 from upwash.config.daemon import read_daemon_config
+from upwash.config.kept_maps import CoverageFile
 from upwash.errors import UpwashError
 from upwash.eventlog.log import read as read_log
 from upwash.mavlink.signing import key_of

@@ -27,13 +27,10 @@ from upwash.config.drone import (
     DroneConfig,
     FleetDroneConfig,
     GridConfig,
-    HomeConfig,
     MissionConfig,
     NetworkConfig,
     PhotosConfig,
     PolicyConfig,
-    ProbeConfig,
-    RosConfig,
     SafeEnd,
     SecondLook,
     ServerConfig,
@@ -59,10 +56,8 @@ from upwash.config.flight_times import (
     usable_s,
 )
 from upwash.config.inventory import ListedServer, read_inventory
-from upwash.config.measured import track_of
-from upwash.config.photo_ground import PhotoGround, photo_ground
+from upwash.config.photo_ground import photo_ground
 from upwash.config.places import (
-    AltitudesAboveSea,
     altitudes_above_sea,
     coverage_kept,
     coverage_of,
@@ -81,23 +76,30 @@ from upwash.config.places import (
     server_position,
     stands,
     sweeps_of,
+    track_of,
     true_areas,
     true_range_m,
     waypoints,
 )
 from upwash.config.plan_photos import PhotoLeg, photo_legs
-from upwash.config.problems import impossible_values, repeated, unknown
-from upwash.config.reading import Document, convert, read_document, refuse_first
+from upwash.config.problems import impossible_values
+from upwash.config.reading import Document, convert, read_document
 from upwash.config.runtime import RuntimeConfig
 from upwash.config.traces import read_battery, read_wind
 from upwash.config.truth import ServerTruth, server_truth
 from upwash.config.user import UserConfig
-from upwash.config.values import KeysConfig, PlanFile, SettingsTable, is_address, is_on_this_machine
+from upwash.config.values import (
+    HomeConfig,
+    KeysConfig,
+    PlanFile,
+    SettingsTable,
+    is_address,
+    is_on_this_machine,
+)
 from upwash.config.world import (
     EnergyConfig,
     EventConfig,
     FaultConfig,
-    HeatConfig,
     Lie,
     NoiseConfig,
     ObjectConfig,

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+
+from msgspec import Struct
 
 from upwash.config.drone import (
     AutopilotConfig,
@@ -18,7 +20,6 @@ from upwash.config.drone import (
     ServiceConfig,
 )
 from upwash.config.flight_times import finish_by_s
-from upwash.config.measured import flight_problems, times_problems, truth_problems
 from upwash.config.places import (
     corners,
     geofence,
@@ -26,20 +27,28 @@ from upwash.config.places import (
     measured_servers,
     row_ends,
     sweeps_of,
+    track_of,
+    waypoints,
 )
 from upwash.config.plan_photos import MOST_SPOTS, speed_set_at
 from upwash.config.problems import Problem, below, listed, metrics_problems, name_problems, repeated, unknown
-from upwash.config.truth import ServerTruth, server_truth
+from upwash.config.shorthand import is_file
+from upwash.config.traces import read_battery, read_goodput_trace, read_service_times, read_wind
+from upwash.config.truth import ServerTruth, keys_of, server_truth
 from upwash.config.user import user_problems
 from upwash.config.values import MDNS, is_address
 from upwash.config.world import RADIOS, FaultConfig, TruthConfig
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.vehicle.geofence import breached_by_leg, breached_by_position, breached_by_way
+from upwash.core.vehicle.track import NEAR_M, Track
 from upwash.mavlink.connection import parse_connection
 from upwash.plans import FlightPlan
 
 _FARTHEST_M = 100_000.0  # from home: a plan for another field, or one with its coordinates swapped
 _HOME = Position(0.0, 0.0)
+_WAYS = ("grid", "waypoints_m", "plan")
+_SOURCES = ("folder", "device", "topic", "bag", "park_seed")
+_LENSES = ("fov_deg", "focal_px", "calibration")
 _MOST_DRONES = 1000  # the largest simulation that was tried
 
 
@@ -62,7 +71,7 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
     yield from _two_answers_problems(config)
     yield from _deadline_problems(config)
     yield from _battery_problems(config)
-    yield from flight_problems(config)
+    yield from _flight_problems(config)
     yield from _camera_problems(config.camera)
     yield from user_problems(config.user)
     if config.event is not None and config.camera.park_seed is not None:
@@ -70,7 +79,11 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
     yield from name_problems("service", [service.name for service in config.services])
     yield from name_problems("server", [server.name for server in config.servers])
     yield from _network_problems(config.network)
-    yield from _coverage_problems(config)
+    if config.network.coverage_map is not None and not measured_servers(config):
+        yield (
+            "network.coverage_map",
+            'no server has range_m = "measured", so there is nothing to keep: leave it out',
+        )
     for index, service in enumerate(config.services):
         key = f"service[{index}]"
         yield from _key_problems(f"{key}.local_pace_s", service, service.local_pace_s)
@@ -131,23 +144,25 @@ def _drone_problems(drone: FleetDroneConfig, config: DroneConfig) -> Iterator[Pr
     if drone.vanishes_s is not None and drone.vanishes_s <= drone.departs_s:
         problem = f"{drone.vanishes_s:g} is not after departs_s = {drone.departs_s:g}: let it vanish later"
         yield "vanishes_s", problem
-    mission = config.mission
-    if any((drone.grid, drone.waypoints_m, drone.plan)):
+    if _given(drone, _WAYS):
         yield from _way_problems("", drone)
-        if drone.plan is not None and mission.home is None:
+        if drone.plan is not None and config.mission.home is None:
             yield "plan", "its places count from mission.home, which all drones share: add it"
-    elif any((mission.grid, mission.waypoints_m, mission.plan)):
-        yield from _way_problems("", mission)
+    elif _given(config.mission, _WAYS):
+        yield from _way_problems("", config.mission)
     else:
         yield "", "nowhere to fly: give it a grid, waypoints_m or a plan, or [mission] one for all drones"
     yield from _times_problems("local_call_s", drone.local_call_s, config.services)
 
 
+def _given(table: Struct, keys: Iterable[str]) -> list[str]:
+    return [key for key in keys if getattr(table, key) is not None]
+
+
 def _way_problems(key: str, table: MissionConfig | FleetDroneConfig) -> Iterator[Problem]:
-    ways = {"grid": table.grid, "waypoints_m": table.waypoints_m, "plan": table.plan}
-    found = [name for name, value in ways.items() if value is not None]
+    found = _given(table, _WAYS)
     if len(found) != 1:
-        yield key, f"no single list of waypoints: give one of {listed(ways)}, found {listed(found)}"
+        yield key, f"no single list of waypoints: give one of {listed(_WAYS)}, found {listed(found)}"
 
 
 def _mission_problems(mission: MissionConfig, services: Sequence[ServiceConfig]) -> Iterator[Problem]:
@@ -192,7 +207,7 @@ def _photos_problems(config: DroneConfig) -> Iterator[Problem]:
         yield "mission.waypoints_m", f"{count} places: with photos, give the start and the end of each row"
     if mission.order != "given":
         yield "mission.order", 'rows are flown in the order of the file: leave it out, or set "given"'
-    if not (_has_rows(mission) or any(map(_has_rows, config.drones))):
+    if not any(_given(table, ("grid", "waypoints_m")) for table in (mission, *config.drones)):
         return
     step_m, key = photos.step_m(mission.ground_speed_m_s), "mission.photos.every_m"
     if step_m is None:
@@ -215,10 +230,6 @@ def _photos_problems(config: DroneConfig) -> Iterator[Problem]:
             f"a photo takes camera.photo_s = {config.camera.photo_s:g} s, so that one every {photos.every_m:g} m "
             f"allows at most {fastest_m_s:.3g} m/s: fly slower, or make photos.every_m larger",
         )
-
-
-def _has_rows(table: MissionConfig | FleetDroneConfig) -> bool:
-    return table.grid is not None or table.waypoints_m is not None
 
 
 def _lighter_problems(config: DroneConfig) -> Iterator[Problem]:
@@ -307,21 +318,63 @@ def _battery_problems(config: DroneConfig) -> Iterator[Problem]:
         yield "energy.computer_load_w", problem
 
 
+def _flight_problems(config: DroneConfig) -> Iterator[Problem]:
+    vehicle = config.vehicle
+    if vehicle.wind_csv is not None:
+        read_wind(vehicle.wind_csv)
+    if vehicle.battery_csv is not None:
+        read_battery(vehicle.battery_csv)
+        if vehicle.endurance_s is not None or (config.energy and config.energy.battery_wh is not None):
+            beside = "vehicle.endurance_s" if vehicle.endurance_s is not None else "energy.battery_wh"
+            yield (
+                "vehicle.battery_csv",
+                f"{beside} says too how long the battery lasts: leave one of the two out",
+            )
+    if (track := track_of(vehicle, config.mission)) is not None:
+        yield from _track_problems(track, config)
+
+
+def _track_problems(track: Track, config: DroneConfig) -> Iterator[Problem]:
+    key = "vehicle.track_csv"
+    if config.drones:
+        yield (
+            key,
+            "a track is one vehicle's, and the file has [[drone]] tables: leave them, or the track, out",
+        )
+        return
+    if any(fault.target == "autopilot" for fault in config.faults):
+        yield key, "a fault of the autopilot would take the vehicle off its track: leave one of the two out"
+    if config.event is not None:
+        yield key, "an answer with a demand would turn the vehicle back: leave [event], or the track, out"
+    if track.risen_s(config.mission.altitude_m) is None:
+        highest_m = max(place.altitude_m for place in track.places)
+        yield (
+            key,
+            f"it rises to {highest_m:.1f} m, and mission.altitude_m is {config.mission.altitude_m:g}: set that lower,"
+            " or give altitudes above home",
+        )
+    passed_s = 0.0
+    for waypoint in waypoints(config.mission):
+        at_s = track.passing_s(waypoint.position, after_s=passed_s)
+        if at_s is None:
+            near_m = track.nearest_m(waypoint.position)
+            where, remedy = f"is {near_m:.0f} m from the track", f"give waypoints within {NEAR_M:g} m of it"
+            if near_m <= NEAR_M:
+                where, remedy = "is not passed after the one before", "give waypoints in the track's order"
+            yield key, f"waypoint {waypoint.index} {where}: {remedy}"
+            return
+        passed_s = at_s
+
+
 def _camera_problems(camera: CameraConfig) -> Iterator[Problem]:
-    sources = {
-        "folder": camera.folder,
-        "device": camera.device,
-        "topic": camera.topic if camera.bag is None else None,  # else it chooses one of the bag's
-        "bag": camera.bag,
-        "park_seed": camera.park_seed,
-    }
-    found = [key for key, value in sources.items() if value is not None]
+    found = _given(camera, _SOURCES)
+    if camera.bag is not None and camera.topic is not None:
+        found.remove("topic")  # it chooses one of the bag's
     if len(found) > 1:
-        yield "camera", f"photos from several places: give one of {listed(sources)}, found {listed(found)}"
-    lenses = {"fov_deg": camera.fov_deg, "focal_px": camera.focal_px, "calibration": camera.calibration}
-    given = [key for key, value in lenses.items() if value is not None]
+        yield "camera", f"photos from several places: give one of {listed(_SOURCES)}, found {listed(found)}"
+    given = _given(camera, _LENSES)
     if len(given) > 1:
-        yield "camera", f"several lenses: give one of {listed(lenses)}, found {listed(given)}"
+        yield "camera", f"several lenses: give one of {listed(_LENSES)}, found {listed(given)}"
     if camera.park_seed is not None and given:
         yield f"camera.{given[0]}", "photos of a solar park have a lens of their own: leave the key out"
 
@@ -416,7 +469,7 @@ def _server_problems(server: ServerConfig, config: DroneConfig) -> Iterator[Prob
     yield from _times_problems("processing_s", server.processing_s, config.services)
     yield from _times_problems("remote_call_s", server.remote_call_s, config.services)
     if server.times_csv is not None:
-        yield from times_problems("times_csv", server.times_csv, config.services)
+        yield from _measured_problems("times_csv", server.times_csv, config.services)
     yield from below("truth", _truth_problems(server.truth, config.services))
     truth, turn_s = server_truth(server, config.services), server.truth.turn_s
     if turn_s is not None and turn_s < truth.join_s:
@@ -438,9 +491,23 @@ def _truth_problems(truth: TruthConfig, services: Sequence[ServiceConfig]) -> It
     for image in truth.images or ():
         if image not in names:
             yield "images", unknown("service", image, names)
-    yield from truth_problems(truth, services)
-    if truth.radio not in RADIOS and not _is_file(truth.radio):
+    if truth.service_csv is not None:
+        yield from _measured_problems("service_csv", truth.service_csv, services)
+    if truth.goodput_csv is not None:
+        read_goodput_trace(truth.goodput_csv)
+        if truth.radio != "fixed":
+            yield "radio", "goodput_csv says how fast the link is: leave one of the two out"
+    if truth.radio not in RADIOS and not is_file(Path(truth.radio)):
         yield "radio", f"no file {truth.radio}: give {listed(RADIOS)} or a csv file of goodput by distance"
+
+
+def _measured_problems(key: str, file: Path, services: Sequence[ServiceConfig]) -> Iterator[Problem]:
+    for operation in read_service_times(file):
+        if not any(keys_of(operation, services)):
+            known = listed(
+                sorted({key or service.name for service in services for key in service.local_call_s})
+            )
+            yield key, f"{operation} is no operation with a local_call_s: name one of {known}"
 
 
 def _place_problems(server: ServerConfig, mission: MissionConfig) -> Iterator[Problem]:
@@ -467,14 +534,6 @@ def _why_placed(server: ServerConfig) -> str:
     if server.truth.goodput_csv is not None:
         return "truth.goodput_csv"
     return "" if server.truth.radio == "fixed" else "truth.radio"
-
-
-def _coverage_problems(config: DroneConfig) -> Iterator[Problem]:
-    if config.network.coverage_map is not None and not measured_servers(config):
-        yield (
-            "network.coverage_map",
-            'no server has range_m = "measured", so there is nothing to keep: leave it out',
-        )
 
 
 def _times_problems(
@@ -514,19 +573,13 @@ def _belief_problems(
     for service in offered:
         for key in service.local_call_s:
             operation = f"{service.name}[{key}]" if key else service.name
-            yield from _believed_call_problems(server, service, key, operation)
+            if key not in server.remote_call_s.get(service.name, {}):
+                if key not in server.processing_s.get(service.name, {}):
+                    yield "remote_call_s", f"nothing for {operation}: add it, or its processing_s"
+                elif server.bandwidth_bit_s is None:
+                    yield "bandwidth_bit_s", f"missing, and {operation} has no remote_call_s: add one of them"
             if service.name in images:
                 yield from _true_call_problems(server, truth, service, key, operation)
-
-
-def _believed_call_problems(
-    server: ServerConfig, service: ServiceConfig, key: str, operation: str
-) -> Iterator[Problem]:
-    if key not in server.remote_call_s.get(service.name, {}):
-        if key not in server.processing_s.get(service.name, {}):
-            yield "remote_call_s", f"nothing for {operation}: add it, or its processing_s"
-        elif server.bandwidth_bit_s is None:
-            yield "bandwidth_bit_s", f"missing, and {operation} has no remote_call_s: add one of them"
 
 
 def _true_call_problems(
@@ -550,10 +603,3 @@ def _fault_problems(fault: FaultConfig, servers: Sequence[ServerConfig]) -> Iter
         yield "target", unknown("target", fault.target, targets)
     if fault.to_s < fault.from_s:
         yield "to_s", f"{fault.to_s:g} lies before from_s = {fault.from_s:g}: let it end later"
-
-
-def _is_file(path: str) -> bool:
-    try:
-        return Path(path).is_file()
-    except (OSError, ValueError):  # longer than the system allows, or with a NUL
-        return False

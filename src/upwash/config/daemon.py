@@ -182,9 +182,8 @@ def _written_out(document: Document, folder: Path) -> Document:
 
 
 def _problems(config: DaemonConfig) -> Iterator[Problem]:
-    is_reached = config.keys is not None and not config.listen.startswith(
-        "unix:"
-    )  # by drones, over a network
+    over_network = not config.listen.startswith("unix:")
+    is_reached = config.keys is not None and over_network  # by drones
     yield from _access_problems(config)
     if config.announce and not is_reached:
         yield "announce", 'needs [keys], by which drones know the server, and a "host:port" to listen on'

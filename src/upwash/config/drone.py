@@ -11,12 +11,15 @@ from msgspec import Meta, Struct
 from msgspec.structs import replace
 
 from upwash.config import values
+from upwash.config.kept_maps import CoverageFile, DemandFile
 from upwash.config.user import UserConfig
-from upwash.config.world import EnergyConfig, EventConfig, FaultConfig, HeatConfig, NoiseConfig, TruthConfig
-from upwash.core.geo import GeoPosition
+from upwash.config.world import EnergyConfig, EventConfig, FaultConfig, NoiseConfig, TruthConfig
 from upwash.core.policies.names import POLICIES, is_own
+from upwash.core.selection.deadlines import Deadline
+from upwash.core.selection.hedging import HedgeRule
+from upwash.core.selection.recovery import Probing
+from upwash.support.heat import Surroundings
 
-Pause = Annotated[float, Meta(ge=0.2, le=60, description="a number from 0.2 to 60, in seconds")]
 FieldOfView = Annotated[float, Meta(ge=1, le=170, description="a number from 1 to 170, in degrees")]
 AtLeastOneSecond = Annotated[float, Meta(ge=1, description="a number of at least 1, in seconds")]
 DeadManSilence = Annotated[float, Meta(ge=5, le=600, description="a number from 5 to 600, in seconds")]
@@ -40,22 +43,14 @@ PhotoSize = Annotated[
     Meta(description="a pair [width, height] of whole numbers above 0, in pixels"),
 ]
 Radios = Annotated[int, Meta(ge=1, le=2, description="1 or 2")]
+CoveragePath = Annotated[
+    CoverageFile, Meta(description="a coverage map's path, absolute or from this file's folder")
+]
+DemandPath = Annotated[
+    DemandFile, Meta(description="a path of a map of demands, absolute or from this file's folder")
+]
 SafeEnd = Literal["return", "hold", "land"]
 Corner = Literal["top-left", "top-right", "bottom-left", "bottom-right"]
-
-
-class HomeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The place on the Earth where east and north are 0."""
-
-    latitude_deg: values.Latitude
-    """Degrees north of the equator."""
-    longitude_deg: values.Longitude
-    """Degrees east of Greenwich."""
-
-    @property
-    def place(self) -> GeoPosition:
-        """The place on the ground."""
-        return GeoPosition(self.latitude_deg, self.longitude_deg)
 
 
 class GridConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -125,7 +120,7 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The ground speed of legs, in metres per second; with `speed = "auto"` the highest one, 10 by default."""
     speed: Literal["given", "auto"] = "given"
     """`auto`: before take-off the drone chooses [the speed of its rows](rows.md#which-speed)."""
-    home: HomeConfig | None = None
+    home: values.HomeConfig | None = None
     """The place where east and north are 0; needed to fly."""
     grid: GridConfig | None = None
     """The waypoints as a grid; one of `grid`, `waypoints_m` and `plan` is needed."""
@@ -221,7 +216,7 @@ class NetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The interfaces that NetworkManager may use to join networks."""
     radios: Radios = 1
     """With 2, the next server is checked while the present one is used; each radio has an interface."""
-    coverage_map: values.CoveragePath | None = None
+    coverage_map: CoveragePath | None = None
     """A file, kept between flights, with the measurements of servers without a range at each place."""
 
 
@@ -280,33 +275,6 @@ class RosConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 _LEFT_ALONE_S = 60.0
 
 
-class HedgeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """When the drone's own service starts on a remote call that is late, and the share of extra work it may do."""
-
-    after: values.Quantile = "p95"
-    """The quantile of a server's delays; a longer call counts as late."""
-    budget: values.Share = 0.1
-    """The largest share of the drone's computing time that hedging may add."""
-
-    @property
-    def quantile(self) -> float:
-        """`after` as a fraction."""
-        return int(self.after[1:]) / 100
-
-
-class ProbeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The pauses between questions to a server that failed: the first one, and the longest."""
-
-    first_s: Pause = 0.5
-    """The first pause, in seconds."""
-    longest_s: Pause = 1.0
-    """The longest pause, in seconds."""
-
-    def __post_init__(self) -> None:
-        if self.first_s > self.longest_s:
-            raise ValueError(f"first_s is {self.first_s}, and longest_s only {self.longest_s}: pauses grow")
-
-
 class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """When calls are offloaded, and where to: [policies](policies.md)."""
 
@@ -326,7 +294,7 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """The time between two considerations of a better server, in seconds."""
     blacklist_s: AtLeastOneSecond | None = None
     """How long a failed server is not used, in seconds; in place of `probe`."""
-    probe: ProbeConfig | None = None
+    probe: Probing | None = None
     """A failed server is probed after these pauses; default of `look-ahead` and of your own policies."""
     idle_s: values.NotNegative = 180.0
     """How long the services of a server that was left are believed to run, in seconds."""
@@ -334,12 +302,12 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """The time until a server slower than the drone gets another chance, in seconds."""
     patient_first_call: bool = False
     """Whether a service's first call on a server may take as long as a local one."""
-    hedge: HedgeConfig | bool | None = None
+    hedge: HedgeRule | bool | None = None
     """Whether calls that a server answers late are computed on the drone too; `true`, `false` or a table; default:
     `true` with `look-ahead` and your own policies."""
     stay_or_go: Literal["stay", "go", "learn"] = "stay"
     """Whether the drone flies on before it has an answer: [answers that come later](pending-calls.md)."""
-    demand_map: values.DemandPath | None = None
+    demand_map: DemandPath | None = None
     """A file, kept between flights, with the places of demands, for `stay_or_go`."""
     act_within_s: values.NotNegative | None = None
     """The longest time in seconds from an answer to [its later act](pending-calls.md#when-the-drone-acts), as far as
@@ -371,11 +339,11 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         return replace(self, name=name, settings=self.settings if name == self.name else {})
 
     @property
-    def probing(self) -> ProbeConfig | None:
+    def probing(self) -> Probing | None:
         """How a server that failed is probed; None where it is left alone for `left_alone_s`."""
         if self.blacklist_s is not None:
             return None
-        return self.probe or (ProbeConfig() if self._is_of_today else None)
+        return self.probe or (Probing() if self._is_of_today else None)
 
     @property
     def left_alone_s(self) -> float:
@@ -388,12 +356,12 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         return math.inf if self.act_within_s is None else self.act_within_s
 
     @property
-    def hedging(self) -> HedgeConfig | None:
+    def hedging(self) -> HedgeRule | None:
         """How calls are hedged; None if they are not."""
-        if isinstance(self.hedge, HedgeConfig):
+        if isinstance(self.hedge, HedgeRule):
             return self.hedge
         wanted = self._is_of_today if self.hedge is None else self.hedge
-        return HedgeConfig() if wanted else None
+        return HedgeRule() if wanted else None
 
     @property
     def _is_of_today(self) -> bool:
@@ -408,17 +376,6 @@ class TwoAnswersConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """The profile key of the call that the drone computes at once; a server computes the call as asked for."""
     within_s: values.Positive
     """How long after the call the better answer counts, in seconds."""
-
-
-class DeadlineConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """By when a call is answered, and how surely: [deadlines](deadlines.md)."""
-
-    s: values.Positive
-    """The time from the call to its answer, in seconds."""
-    p: values.Probability
-    """The least probability of an answer in that time, such as 0.99; without it the flight is refused."""
-    extra: values.Share = 0.1
-    """The largest share of the calls that a second server may compute too."""
 
 
 class BeforeSendingConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -462,7 +419,7 @@ class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The least time of a call on the drone, in seconds: stands in for a slower computer."""
     local_joining_slowdown: values.SharesByKey = {}
     """Simulation: the share by which calls on the drone take longer while a network is joined."""
-    deadline: DeadlineConfig | None = None
+    deadline: Deadline | None = None
     """Its calls are answered in time with a probability, with a second server's help: [deadlines](deadlines.md)."""
     two_answers: TwoAnswersConfig | None = None
     """Its calls have a first answer of the drone, and a better one of a server: [two answers](two-answers.md)."""
@@ -576,7 +533,7 @@ class DroneConfig(
     servers: Annotated[
         tuple[ServerConfig, ...], Meta(description="tables that each begin with [[server]]")
     ] = ()
-    heat: HeatConfig | None = None
+    heat: Surroundings | None = None
     energy: EnergyConfig | None = None
     event: EventConfig | None = None
     noise: NoiseConfig = NoiseConfig()

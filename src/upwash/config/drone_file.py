@@ -101,9 +101,8 @@ def presences(config: DroneConfig) -> tuple[Presence, ...]:
 
 
 def _one(config: DroneConfig, drone: FleetDroneConfig, number: int) -> DroneConfig:
-    digest = hashlib.sha256(
-        f"{config.seed}/{drone.name}".encode()
-    ).digest()  # independent of the other drones
+    own = f"{config.seed}/{drone.name}".encode()  # independent of the other drones
+    digest = hashlib.sha256(own).digest()
     return replace(
         config,
         name=drone.name,
@@ -128,6 +127,7 @@ def _mission(config: DroneConfig, drone: FleetDroneConfig, number: int) -> Missi
     if drone.grid is None and drone.waypoints_m is None and drone.plan is None:
         return mission
     mission = replace(mission, grid=drone.grid, waypoints_m=drone.waypoints_m, plan=drone.plan)
-    if drone.plan is None:
-        return mission
-    return as_planned(mission, drone.plan, named=("home",), photo_s=config.camera.photo_s)
+    photo_s = config.camera.photo_s
+    return (
+        mission if drone.plan is None else as_planned(mission, drone.plan, named=("home",), photo_s=photo_s)
+    )

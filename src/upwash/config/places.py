@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import msgspec
 
-from upwash.config.drone import DroneConfig, GridConfig, HomeConfig, MissionConfig, ServerConfig
+from upwash.config.drone import DroneConfig, GridConfig, MissionConfig, ServerConfig, VehicleConfig
 from upwash.config.plan_photos import planned_photos
-from upwash.config.values import PlanFile
+from upwash.config.traces import read_track
+from upwash.config.values import HomeConfig, PlanFile
 from upwash.core.geo import (
     Circle,
     GeoPosition,
@@ -31,6 +32,7 @@ from upwash.core.knowledge.coverage import Coverage
 from upwash.core.planning.demand_map import DemandMap, near_m
 from upwash.core.planning.order import Sweep, sweeps
 from upwash.core.vehicle.geofence import Fence
+from upwash.core.vehicle.track import Track
 from upwash.plans import Ending, FlightPlan
 
 _LAST_SPOT = 1e-6  # of the distance between spots: nearer to a row's end, the end is a spot
@@ -39,8 +41,9 @@ _LAST_SPOT = 1e-6  # of the distance between spots: nearer to a row's end, the e
 def waypoints(mission: MissionConfig) -> tuple[Waypoint, ...]:
     """The mission's waypoints in the order of the file, which is the order of their indices."""
     if mission.plan is not None:
-        plan = mission.plan.plan
-        return corners(mission, plan) if mission.photos is None else planned_photos(mission, plan).waypoints
+        if mission.photos is None:
+            return corners(mission, mission.plan.plan)
+        return planned_photos(mission).waypoints
     step_m = None if mission.photos is None else mission.photos.step_m(mission.ground_speed_m_s)
     if step_m is None:
         return tuple(Waypoint(index, place) for index, place in enumerate(_places(mission)))
@@ -50,16 +53,12 @@ def waypoints(mission: MissionConfig) -> tuple[Waypoint, ...]:
 
 def leaving(mission: MissionConfig) -> tuple[Via, ...]:
     """The places of a plan that the drone flies to after its last waypoint: those after its last photo."""
-    if mission.plan is None or mission.photos is None:
-        return ()
-    return planned_photos(mission, mission.plan.plan).leaving
+    return planned_photos(mission).leaving
 
 
 def planned_way(mission: MissionConfig) -> tuple[Position, ...]:
     """The places of a plan between which a drone that photographs in flight flies straight."""
-    if mission.plan is None or mission.photos is None:
-        return ()
-    return planned_photos(mission, mission.plan.plan).way
+    return planned_photos(mission).way
 
 
 def corners(mission: MissionConfig, plan: FlightPlan) -> tuple[Waypoint, ...]:
@@ -123,12 +122,6 @@ def geofence(mission: MissionConfig) -> tuple[Fence, ...]:
     return tuple(fence.fence(frame) for fence in mission.plan.plan.fences)
 
 
-def planned_home(plan: FlightPlan) -> HomeConfig | None:
-    """The home that a plan names, or None."""
-    home = plan.home
-    return HomeConfig(latitude_deg=home.latitude_deg, longitude_deg=home.longitude_deg) if home else None
-
-
 def as_planned(
     mission: MissionConfig, file: PlanFile, *, named: Container[str], photo_s: float
 ) -> MissionConfig:
@@ -137,7 +130,7 @@ def as_planned(
     if "altitude_m" in named:
         plan = replace(plan, takeoff_above_sea_m=None)
     planned = {
-        "home": planned_home(plan),
+        "home": plan.home and HomeConfig.at(plan.home),
         "altitude_m": plan.takeoff_altitude_m or plan.waypoints[0].place.altitude_m,
         "ground_speed_m_s": plan.ground_speed_m_s or mission.ground_speed_m_s,
     }
@@ -166,41 +159,17 @@ def file_notices(config: DroneConfig) -> list[str]:
     return list(dict.fromkeys((*damaged, *plans)))
 
 
-@dataclass(frozen=True, slots=True)
-class AltitudesAboveSea:
-    """The part of a plan's altitudes that counts from the sea; all in metres above it, as ground stations have it.
-
-    `item` is the first such item. `home_m` is the planned home's altitude, None where the plan does not know it or
-    the mission has another home. `reference_m` is what `Waypoint.position` was converted with: `home_m`, or an
-    assumed altitude of home. `takeoff_m` is what `mission.altitude_m` comes from, None where that counts from home.
-    The altitudes of waypoints are in `Waypoint.above_sea_m`.
-    """
-
-    item: int
-    home_m: float | None
-    reference_m: float
-    takeoff_m: float | None
-
-
-def altitudes_above_sea(mission: MissionConfig) -> AltitudesAboveSea | None:
-    """What the mission's plan says of altitudes above the sea; None where all altitudes count from home."""
+def altitudes_above_sea(mission: MissionConfig) -> FlightPlan | None:
+    """The mission's plan, if it counts altitudes from the sea; its home's altitude, if that is the mission's home."""
     plan = mission.plan.plan if mission.plan is not None else None
     if plan is None or plan.above_sea_level is None:
         return None
-    return AltitudesAboveSea(
-        item=plan.above_sea_level,
-        home_m=plan.home_above_sea_m if is_planned_home(mission, plan) else None,
-        reference_m=plan.reference_above_sea_m,
-        takeoff_m=plan.takeoff_above_sea_m,
-    )
+    return plan if is_planned_home(mission, plan) else replace(plan, home_above_sea_m=None)
 
 
 def is_planned_home(mission: MissionConfig, plan: FlightPlan) -> bool:
     """Whether the mission's home is the plan's."""
-    planned, home = plan.home, mission.home
-    if planned is None or home is None:
-        return planned is None and home is None
-    return (planned.latitude_deg, planned.longitude_deg) == (home.latitude_deg, home.longitude_deg)
+    return (None if plan.home is None else HomeConfig.at(plan.home)) == mission.home
 
 
 def ending(mission: MissionConfig) -> Ending:
@@ -280,6 +249,20 @@ def _reach(server: ServerConfig, config: DroneConfig, radius_m: float | None) ->
     if radius_m is None:
         return Measured()
     return Circle(server_position(server, config.mission.home), radius_m)
+
+
+def track_of(vehicle: VehicleConfig, mission: MissionConfig) -> Track | None:
+    """The track that the simulated vehicle flies; None without one. Raises ConfigError for a file that is none.
+
+    Times count from the file's first row. Without altitudes the track is as high as the mission's take-off.
+    """
+    if vehicle.track_csv is None:
+        return None
+    rows = read_track(vehicle.track_csv, frame_of(mission)).rows
+    return Track(
+        [row[0] - rows[0][0] for row in rows],
+        [Position(row[1], row[2], max(0.0, row[3]) if row[3:] else mission.altitude_m) for row in rows],
+    )
 
 
 def frame_of(mission: MissionConfig) -> LocalFrame | None:

@@ -23,9 +23,7 @@ from upwash.plans import FlightPlan, PhotoTrigger
 
 MOST_SPOTS = 100_000
 _SAME_PLACE_M = 0.05
-_STRAIGHT_M = (
-    0.3  # beside a straight way: coordinates have centimetres, and rows on the Earth are not quite straight
-)
+_STRAIGHT_M = 0.3  # beside a straight way: coordinates have centimetres, and rows on the Earth are a bit bent
 _MOST_LEGS = 50  # of a straight way, so that each is compared with few others
 _ROUNDING = 0.01  # the share of the distance between spots that a leg may lack for its last photo
 
@@ -34,9 +32,9 @@ _ROUNDING = 0.01  # the share of the distance between spots that a leg may lack 
 class PlannedPhotos:
     """The spots of a plan, the places that the drone flies to after the last of them, and all where it rests."""
 
-    waypoints: tuple[Waypoint, ...]
-    leaving: tuple[Via, ...]
-    way: tuple[Position, ...]
+    waypoints: tuple[Waypoint, ...] = ()
+    leaving: tuple[Via, ...] = ()
+    way: tuple[Position, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +53,19 @@ class _Corner:
 
 
 @dataclass(frozen=True, slots=True)
-class _Leg:
-    """A leg with photos: to the corner of that number, `step_m` apart."""
+class PhotoLeg:
+    """How photos are taken on a leg: the lowest altitude, the speed, and the distance between two of them."""
+
+    altitude_m: float
+    ground_speed_m_s: float
+    step_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class _PlannedLeg(PhotoLeg):
+    """A leg of a plan, to the corner of that number."""
 
     corner: int
-    step_m: float
     trigger: PhotoTrigger
 
 
@@ -71,21 +77,14 @@ class _Shot:
     corner: int | None = None
 
 
-def planned_photos(mission: MissionConfig, plan: FlightPlan) -> PlannedPhotos:
-    """The spots of the plan's triggers, for a mission with photos."""
-    return _Course(mission, plan).photos()
+def planned_photos(mission: MissionConfig) -> PlannedPhotos:
+    """The spots of the triggers of the mission's plan; none of a mission without a plan or without photos."""
+    if mission.plan is None or mission.photos is None:
+        return PlannedPhotos()
+    return _Course(mission, mission.plan.plan).photos()
 
 
-@dataclass(frozen=True, slots=True)
-class PhotoLeg:
-    """How photos are taken on a leg: the lowest altitude, the speed, and the distance between two of them."""
-
-    altitude_m: float
-    ground_speed_m_s: float
-    step_m: float
-
-
-def photo_legs(mission: MissionConfig) -> list[PhotoLeg]:
+def photo_legs(mission: MissionConfig) -> Sequence[PhotoLeg]:
     """The legs with photos of a mission that takes them in flight; all rows that are no plan's are one."""
     photos, speed_m_s = mission.photos, mission.ground_speed_m_s
     if photos is None:
@@ -93,15 +92,7 @@ def photo_legs(mission: MissionConfig) -> list[PhotoLeg]:
     if mission.plan is None:
         step_m = photos.step_m(speed_m_s)
         return [] if step_m is None else [PhotoLeg(mission.altitude_m, speed_m_s, step_m)]
-    course = _Course(mission, mission.plan.plan)
-    return [
-        PhotoLeg(
-            min(corner.position.altitude_m for corner in course.corners[leg.corner - 1 : leg.corner + 1]),
-            course.corners[leg.corner].ground_speed_m_s,
-            leg.step_m,
-        )
-        for leg in course.legs
-    ]
+    return _Course(mission, mission.plan.plan).legs
 
 
 def speed_set_at(plan: FlightPlan, photos: PhotosConfig) -> int | None:
@@ -129,9 +120,10 @@ def photo_plan_problems(config: DroneConfig) -> Iterator[Problem]:
             return
     course = _Course(mission, plan)
     if not any(trigger.now for trigger in triggers) and not course.legs:
+        others = "; ".join(str(notice) for notice in plan.notices if notice.of_camera)
         yield (
             key,
-            f"{file} triggers no camera{_commands_without_photos(plan)}: plan a survey with a camera, or leave "
+            f"{file} triggers no camera{f' ({others})' if others else ''}: plan a survey with a camera, or leave "
             "photos out, and the drone stops at each waypoint for a photo",
         )
         return
@@ -140,14 +132,13 @@ def photo_plan_problems(config: DroneConfig) -> Iterator[Problem]:
         return
     photo_s = config.camera.photo_s
     for leg in course.legs if mission.speed == "given" else ():
-        speed_m_s = course.corners[leg.corner].ground_speed_m_s
-        if photo_s * speed_m_s > leg.step_m * (1 + 1e-9):
+        if photo_s * leg.ground_speed_m_s > leg.step_m * (1 + 1e-9):
             yield (
                 key,
                 f"{file}: item {leg.trigger.item}: {leg.trigger.command} is too dense: a photo takes "
-                f"camera.photo_s = {photo_s:g} s, so that one every "
-                f"{leg.step_m:g} m allows at most {leg.step_m / photo_s:.3g} m/s, and the plan has {speed_m_s:g} "
-                "m/s there: fly slower, or set photos.every_m larger",
+                f"camera.photo_s = {photo_s:g} s, so that one every {leg.step_m:g} m allows at most "
+                f"{leg.step_m / photo_s:.3g} m/s, and the plan has {leg.ground_speed_m_s:g} m/s there: fly slower, "
+                "or set photos.every_m larger",
             )
             return
     if not course.photos().waypoints:
@@ -167,12 +158,6 @@ def _pace_problem(trigger: PhotoTrigger, photo_s: float) -> str:
             "photos.every_m"
         )
     return ""
-
-
-def _commands_without_photos(plan: FlightPlan) -> str:
-    """The plan's commands to cameras that take no photo, in brackets."""
-    found = "; ".join(map(str, (notice for notice in plan.notices if notice.of_camera)))
-    return f" ({found})" if found else ""
 
 
 class _Course:
@@ -234,29 +219,25 @@ class _Course:
             (self._reached_m[leg.corner] - self._reached_m[leg.corner - 1]) / leg.step_m for leg in self.legs
         )
 
-    def _legs_with_photos(self) -> Iterator[_Leg]:
+    def _legs_with_photos(self) -> Iterator[_PlannedLeg]:
         on: PhotoTrigger | None = None
         for number, corner in enumerate(self.corners[:-1], start=1):
             for trigger in corner.triggers:
                 if not trigger.leaves_on:
                     on = trigger if trigger.every_m is not None or trigger.every_s is not None else None
             if on is not None:
-                yield _Leg(number, self._step_m(on, self.corners[number].ground_speed_m_s), on)
-
-    def _step_m(self, trigger: PhotoTrigger, ground_speed_m_s: float) -> float:
-        step_m = self._photos.step_m(ground_speed_m_s)
-        if step_m is not None:
-            return step_m
-        return trigger.every_m or (trigger.every_s or 0.0) * ground_speed_m_s
+                end = self.corners[number]
+                step_m = self._photos.step_m(end.ground_speed_m_s)
+                if step_m is None:
+                    step_m = on.every_m or (on.every_s or 0.0) * end.ground_speed_m_s
+                lowest_m = min(corner.position.altitude_m, end.position.altitude_m)
+                yield _PlannedLeg(lowest_m, end.ground_speed_m_s, step_m, number, on)
 
     def _shots(self) -> list[_Shot]:
         shots: list[_Shot] = []
         legs = {leg.corner - 1: leg for leg in self.legs}
-        share, since_m, left = (
-            0.0,
-            0.0,
-            math.inf,
-        )  # of a step, since the last photo; where photos began; how many
+        share, since_m = 0.0, 0.0  # of a step, since the last photo; where photos began
+        left = math.inf  # how many photos
         for number, corner in enumerate(self.corners):
             at_m = self._reached_m[number]
             for trigger in corner.triggers:

@@ -12,8 +12,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from upwash.config.coverage import CoverageFile
-from upwash.config.demand_map import DemandFile
+from upwash.config.kept_maps import CoverageFile, DemandFile
 from upwash.config.problems import Problem, impossible_values
 from upwash.config.values import PlanFile, SettingsTable
 from upwash.errors import ConfigError
@@ -58,13 +57,12 @@ def convert(
     """
     folder = file.absolute().parent
 
-    def resolve(kind: type, value: object) -> Path | CoverageFile | DemandFile | PlanFile | SettingsTable:
+    def resolve(kind: Any, value: object) -> Any:
         if kind is SettingsTable and isinstance(value, dict):
             return SettingsTable(file, value)
         if kind not in (Path, CoverageFile, DemandFile, PlanFile) or not isinstance(value, str) or not value:
             raise ValueError
-        of_file: type[Path | CoverageFile | DemandFile | PlanFile] = kind
-        return of_file(folder / value)
+        return kind(folder / value)
 
     try:
         return msgspec.convert(document, kind, dec_hook=resolve)

@@ -95,10 +95,14 @@ class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 def runtime_problems(runtime: RuntimeConfig) -> Iterator[Problem]:
     """What is wrong with a runtime's table, beyond its types."""
     yield from device_problems("runtime.devices", runtime.devices, runtime)
-    if runtime.kind == "docker":
-        yield from _docker_problems(runtime.engine_addresses)
-    else:
+    if runtime.kind != "docker":
         yield from _lxd_problems(runtime)
+        return
+    key, addresses = "runtime.engine.addresses", runtime.engine_addresses
+    if len(addresses) > 1:
+        yield key, f"one address of Docker or Podman is enough, found {len(addresses)}"
+    elif not addresses[0].startswith("unix:/"):
+        yield f"{key}[0]", f'expected "unix:/path" of an engine on this machine, found "{addresses[0]}"'
 
 
 def device_problems(key: str, devices: tuple[str, ...], runtime: RuntimeConfig) -> Iterator[Problem]:
@@ -136,13 +140,3 @@ def _lxd_problems(runtime: RuntimeConfig) -> Iterator[Problem]:
     else:
         if not 16 <= subnet.prefixlen <= 30:
             yield "runtime.network.subnet", f'expected a subnet from /16 to /30, found "{subnet}"'
-
-
-def _docker_problems(addresses: tuple[str, ...]) -> Iterator[Problem]:
-    key = "runtime.engine.addresses"
-    if len(addresses) > 1:
-        yield key, f"one address of Docker or Podman is enough, found {len(addresses)}"
-    for address in addresses:
-        if not address.startswith("unix:/"):
-            problem = f'expected "unix:/path" of an engine on this machine, found "{address}"'
-            yield f"{key}[0]", problem

@@ -84,15 +84,16 @@ def _with_path_from(table: dict[str, Any], key: str, folder: Path) -> dict[str, 
 def _with_film_from(table: dict[str, Any], folder: Path) -> dict[str, Any]:
     """The camera; a device that is a video file as a path from the folder."""
     device = table.get("device")
-    if not isinstance(device, str) or not _is_file(folder / device):
+    if not isinstance(device, str) or not is_file(folder / device):
         return table
     return table | {"device": str(folder / device)}
 
 
-def _is_file(path: Path) -> bool:
+def is_file(path: Path) -> bool:
+    """Whether the path is one of a file; False for one that no file can have, such as a pipeline."""
     try:
         return path.is_file()
-    except (OSError, ValueError):  # no path at all, such as a pipeline
+    except (OSError, ValueError):
         return False
 
 

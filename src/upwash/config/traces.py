@@ -70,10 +70,9 @@ def read_service_times(file: Path) -> Mapping[str, Sequence[float]]:
 @lru_cache
 def _service_times(file: Path, _stamp: Stamp) -> Mapping[str, Sequence[float]]:
     times: dict[str, list[float]] = defaultdict(list)
-    lines = _lines(file)
-    columns = _header(file, next(lines, (1, [])), (("operation", "seconds"),))
-    for line, row in lines:
-        operation, seconds = (_cell(file, line, row, columns, name) for name in ("operation", "seconds"))
+    _, rows = _table(file, (("operation", "seconds"),))
+    for line, cells in rows:
+        operation, seconds = cells
         if not operation:
             raise _problem(
                 file, line, "operation", 'empty: name an operation, such as "detector.process_photo[heavy]"'
@@ -147,21 +146,19 @@ def stamp_of(file: Path) -> Stamp:
 
 @lru_cache
 def _read(file: Path, _stamp: Stamp, kinds: _Kinds) -> Trace:
-    lines = _lines(file)
-    columns = _header(file, next(lines, (1, [])), kinds)
-    kind = next(kind for kind in kinds if set(kind) <= columns.keys())
+    kind, table = _table(file, kinds)
     rows: list[tuple[float, ...]] = []
-    numbers: list[int] = []
-    for line, row in lines:
-        rows.append(tuple(_number(file, line, name, _cell(file, line, row, columns, name)) for name in kind))
-        numbers.append(line)
+    lines: list[int] = []
+    for line, cells in table:
+        rows.append(tuple(_number(file, line, name, cell) for name, cell in zip(kind, cells, strict=True)))
+        lines.append(line)
         if kind[0] in _ASCENDING and len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
             raise _problem(
                 file, line, kind[0], f"{rows[-1][0]:g} follows {rows[-2][0]:g}: let the values ascend"
             )
     if not rows:
         raise ConfigError(str(file), "", f"no rows: add some, with the columns {' and '.join(kind)}")
-    return Trace(kind, rows, numbers)
+    return Trace(kind, rows, lines)
 
 
 def _lines(file: Path) -> Iterator[tuple[int, list[str]]]:
@@ -181,23 +178,25 @@ def _lines(file: Path) -> Iterator[tuple[int, list[str]]]:
                 ) from None
 
 
-def _header(file: Path, first: tuple[int, list[str]], kinds: Sequence[tuple[str, ...]]) -> dict[str, int]:
-    """The index of each column."""
-    line, names = first
-    columns = {name: index for index, name in enumerate(names)}
-    if not any(set(kind) <= columns.keys() for kind in kinds):
+def _table(file: Path, kinds: _Kinds) -> tuple[tuple[str, ...], Iterator[tuple[int, Iterator[str]]]]:
+    """The first kind of columns that the file has, and of each line the number and the cells in those columns."""
+    lines = _lines(file)
+    line, names = next(lines, (1, []))
+    kind = next((kind for kind in kinds if set(kind) <= set(names)), None)
+    if kind is None:
         wanted = ", or ".join(" and ".join(kind) for kind in kinds)
         found = printable(", ".join(names), _LONGEST) or "nothing"
         raise _problem(file, line, "", f"the first line has {found}: name the columns {wanted}")
     if twice := named_twice(names):
         raise _problem(file, line, printable(twice, _LONGEST), "two columns have this name: leave one out")
-    return columns
 
+    def cells(line: int, row: list[str]) -> Iterator[str]:
+        for name in kind:
+            if names.index(name) >= len(row):
+                raise _problem(file, line, name, f"missing in a line of {len(row)} values: add it")
+            yield row[names.index(name)]
 
-def _cell(file: Path, line: int, row: list[str], columns: Mapping[str, int], name: str) -> str:
-    if columns[name] >= len(row):
-        raise _problem(file, line, name, f"missing in a line of {len(row)} values: add it")
-    return row[columns[name]]
+    return kind, ((line, cells(line, row)) for line, row in lines)
 
 
 def _number(file: Path, line: int, name: str, cell: str) -> float:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from statistics import fmean
-from typing import Literal
 
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
 from upwash.config.drone import ServerConfig, ServiceConfig
 from upwash.config.traces import read_service_times
+from upwash.config.world import TruthConfig
 from upwash.core.operation import Operation
 
 Times = Mapping[str, Mapping[str, float]]  # seconds, by service and profile key
@@ -20,7 +18,7 @@ Times = Mapping[str, Mapping[str, float]]  # seconds, by service and profile key
 _TURN_S = 30.0
 
 
-class ServerTruth(Struct, frozen=True, kw_only=True):
+class ServerTruth(TruthConfig, frozen=True, kw_only=True):
     """What is true of a simulated server; where the file says nothing else, what the drone believes.
 
     With a "fixed" radio a call of `remote_call_s` takes that time from request to reply. Any other call takes its
@@ -33,21 +31,12 @@ class ServerTruth(Struct, frozen=True, kw_only=True):
     """
 
     join_s: float
-    leave_s: float
     start_s: float
-    processing_s: Times
-    remote_call_s: Times
-    occupying_s: Times
-    first_extra_s: float
-    bandwidth_bit_s: float | None
-    radio: str
-    goodput_csv: Path | None
-    service_times: Mapping[str, Sequence[float]]
-    slots: int | Literal["auto"]
     turn_s: float
-    lanes: int | None
     images: tuple[str, ...]
-    peers: tuple[str, ...]
+    occupying_s: Times
+    bandwidth_bit_s: float | None
+    service_times: Mapping[str, Sequence[float]]
     saved_s: Mapping[str, float]
 
 
@@ -57,23 +46,20 @@ def server_truth(server: ServerConfig, services: Sequence[ServiceConfig]) -> Ser
     times = read_service_times(truth.service_csv) if truth.service_csv is not None else {}
     truth = replace(truth, processing_s=_merged(truth.processing_s, _means(times, services)))
     server = replace(server, truth=truth)
-    return ServerTruth(
+    told = replace(
+        truth,
         join_s=server.check_running_s if truth.join_s is None else truth.join_s,
-        leave_s=truth.leave_s,
         start_s=server.check_s - server.check_running_s if truth.start_s is None else truth.start_s,
         processing_s=_merged(server.processing_s, truth.processing_s),
         remote_call_s=_merged(_remote_calls_still_believed(server, services), truth.remote_call_s),
-        occupying_s=_occupying(server),
-        first_extra_s=truth.first_extra_s,
-        bandwidth_bit_s=server.bandwidth_bit_s,
-        radio=truth.radio,
-        goodput_csv=truth.goodput_csv,
-        service_times=times,
-        slots=truth.slots,
         turn_s=_TURN_S if truth.turn_s is None else truth.turn_s,
-        lanes=truth.lanes,
         images=tuple(service.name for service in services) if truth.images is None else truth.images,
-        peers=truth.peers,
+    )
+    return ServerTruth(
+        **asdict(told),
+        occupying_s=_occupying(server),
+        bandwidth_bit_s=server.bandwidth_bit_s,
+        service_times=times,
         saved_s={
             service.name: 8 * (service.request_bytes - part.request_bytes) / server.bandwidth_bit_s
             for service in services

@@ -11,8 +11,8 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from upwash.config.coverage import CoverageFile
-from upwash.config.demand_map import DemandFile
+from upwash import kinds
+from upwash.core.geo import GeoPosition
 from upwash.core.planning.order import SWEEPS
 from upwash.plans import FlightPlan, read_plan
 
@@ -69,25 +69,15 @@ class SettingsTable:
         self.values = values
 
 
-CoveragePath = Annotated[
-    CoverageFile, Meta(description="a coverage map's path, absolute or from this file's folder")
-]
-DemandPath = Annotated[
-    DemandFile, Meta(description="a path of a map of demands, absolute or from this file's folder")
-]
 Settings = Annotated[SettingsTable, Meta(description="a table of what the service's constructor takes")]
 PlanPath = Annotated[PlanFile, Meta(description="a plan's path, absolute or from this file's folder")]
 
-Positive = Annotated[float, Meta(gt=0, description="a number above 0")]
-NotNegative = Annotated[float, Meta(ge=0, description="a number of at least 0")]
+Positive = kinds.Positive
+NotNegative = kinds.NotNegative
 Fraction = Annotated[float, Meta(ge=0, le=1, description="a number from 0 to 1")]
 Tilt = Annotated[float, Meta(ge=-90, le=90, description="a number from -90 to 90, in degrees")]
 Turn = Annotated[float, Meta(ge=-180, le=180, description="a number from -180 to 180, in degrees")]
-Share = Annotated[float, Meta(gt=0, le=1, description="a number above 0, up to 1")]
-Probability = Annotated[float, Meta(gt=0, lt=1, description="a number above 0 and below 1, such as 0.99")]
-Quantile = Annotated[
-    str, Meta(pattern=r"^p[1-9][0-9]?\Z", description='a quantile from "p1" to "p99", such as "p95"')
-]
+Share = kinds.Share
 Percent = Annotated[float, Meta(gt=0, lt=100, description="a number above 0 and below 100, in percent")]
 Latitude = Annotated[float, Meta(ge=-90, le=90, description="degrees from -90 to 90")]
 Longitude = Annotated[float, Meta(ge=-180, le=180, description="degrees from -180 to 180")]
@@ -156,6 +146,25 @@ class KeysConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The certificate of this drone or daemon."""
     key: FilePath
     """The private key of that certificate."""
+
+
+class HomeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The place on the Earth where east and north are 0."""
+
+    latitude_deg: Latitude
+    """Degrees north of the equator."""
+    longitude_deg: Longitude
+    """Degrees east of Greenwich."""
+
+    @classmethod
+    def at(cls, place: GeoPosition) -> HomeConfig:
+        """The home at that place."""
+        return cls(latitude_deg=place.latitude_deg, longitude_deg=place.longitude_deg)
+
+    @property
+    def place(self) -> GeoPosition:
+        """The place on the ground."""
+        return GeoPosition(self.latitude_deg, self.longitude_deg)
 
 
 _EVERYWHERE = ("", "*")  # in place of a host: every address of this computer

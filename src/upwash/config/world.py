@@ -129,15 +129,6 @@ class EventConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
             )
 
 
-class HeatConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The drone's computer gets hot, and slow."""
-
-    ambient_c: float = 44.0
-    """The temperature of the air around the computer, in °C."""
-    load_w: values.NotNegative = 4.0
-    """The power that a call adds to the computer's, in watts."""
-
-
 class EnergyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What the simulated drone draws from its battery: [the model](energy.md)."""
 

@@ -26,7 +26,6 @@ _CERTAIN = 1000  # calls that all take as long: those of the drone's own service
 class DeadlineProspect(Struct, frozen=True):
     """What can be had of an operation's deadline at the waypoint where that is least, and where it is too little."""
 
-    service: str
     operation: Operation
     deadline: Deadline
     least: Prospect
@@ -60,8 +59,7 @@ class DeadlineProspect(Struct, frozen=True):
 
 def make_deadlines(config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates) -> Deadlines:
     """The deadlines of the drone's operations, with the measured times of its servers."""
-    deadlines = dict(_deadlines(config, specs, estimates))
-    return Deadlines(deadlines, _known_s(config, deadlines))
+    return Deadlines(*_measured(config, specs, estimates))
 
 
 def require_deadlines(
@@ -73,37 +71,33 @@ def require_deadlines(
     """
     if config.policy.name == "local-only":
         return []
-    found = list(_prospects(config, dict(_deadlines(config, specs, estimates)), estimates, plan))
+    found = list(_prospects(config, specs, estimates, plan))
     for one in found:
         if one.short_of:
             raise UsageError(_refusal(one, len(plan)))
     return found
 
 
-def _deadlines(
+def _measured(
     config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates
-) -> Iterator[tuple[Operation, Deadline]]:
-    for service in config.services:
-        if (asked := service.deadline) is None:
-            continue
-        for operation in estimates.operations:
-            if operation.service == service.name and not specs[service.name].methods[operation.method].once:
-                yield operation, Deadline(asked.s, asked.p, asked.extra)
-
-
-def _known_s(
-    config: DroneConfig, operations: Mapping[Operation, Deadline]
-) -> dict[tuple[str, Operation], list[float]]:
+) -> tuple[dict[Operation, Deadline], dict[tuple[str, Operation], list[float]]]:
+    """The deadlines of operations, and the measured times of their calls at each server."""
+    asked = {service.name: service.deadline for service in config.services if service.deadline is not None}
+    deadlines = {
+        operation: asked[operation.service]
+        for operation in estimates.operations
+        if operation.service in asked and not specs[operation.service].methods[operation.method].once
+    }
     known: dict[tuple[str, Operation], list[float]] = {}
     for server in config.servers:
         times = read_service_times(server.times_csv) if server.times_csv is not None else {}
-        for operation in operations:
+        for operation in deadlines:
             for name, seconds in times.items():
                 if _names(name, operation, config.services):
                     known.setdefault((server.name, operation), []).extend(seconds)
     for times_s in known.values():  # the flight forgets the first ones first, and a file may be sorted
         random.Random(0).shuffle(times_s)  # noqa: S311 - no secret
-    return known
+    return deadlines, known
 
 
 def _names(name: str, operation: Operation, services: Sequence[ServiceConfig]) -> bool:
@@ -115,12 +109,10 @@ def _names(name: str, operation: Operation, services: Sequence[ServiceConfig]) -
 
 
 def _prospects(
-    config: DroneConfig,
-    deadlines: Mapping[Operation, Deadline],
-    estimates: Estimates,
-    plan: Sequence[Waypoint],
+    config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates, plan: Sequence[Waypoint]
 ) -> Iterator[DeadlineProspect]:
-    areas, known_s, hedging = server_areas(config), _known_s(config, deadlines), config.policy.hedging
+    deadlines, known_s = _measured(config, specs, estimates)
+    areas, hedging = server_areas(config), config.policy.hedging
     called = [operation for operation in deadlines if operation.key in ("", config.mission.mode)]
     for operation in called or deadlines:
         deadline, local_s = deadlines[operation], estimates.local_s(operation)
@@ -129,11 +121,9 @@ def _prospects(
             for server in config.servers
             if estimates.remote_s(server.name, operation) is not None
         }
-        joins = hedging is not None and local_s is not None and local_s <= deadline.within_s
-        onboard, miss = (
-            Delays([local_s or 0.0] * _CERTAIN),
-            MISS / 2 if joins else MISS,
-        )  # of two plans, or of one
+        in_time = local_s is not None and local_s <= deadline.within_s
+        onboard = Delays([local_s or 0.0] * _CERTAIN)
+        miss = MISS / 2 if hedging is not None and in_time else MISS  # of two plans, or of one
         found: list[tuple[Prospect, str, int]] = []
         for waypoint in plan:
             near = sorted(
@@ -141,12 +131,11 @@ def _prospects(
                 key=lambda name: estimates.remote_s(name, operation) or 0.0,
             )
             if not near:
-                in_time = local_s is not None and local_s <= deadline.within_s
                 found.append((Prospect(float(in_time)), "no server is in range there", waypoint.index))
                 continue
             second = _second(config, near)
             best = prospect(deadline, delays[near[0]], delays.get(second or ""), miss=miss)
-            if hedging is not None and joins:
+            if hedging is not None and in_time:
                 by_drone = structs.replace(deadline, extra=hedging.budget)
                 joined = prospect(by_drone, delays[near[0]], onboard, miss=miss).probability
                 best = max(best, Prospect(joined), key=lambda had: had.probability)
@@ -154,7 +143,7 @@ def _prospects(
         if found:
             least, where, _ = min(found, key=lambda one: one[0].probability)
             short = tuple(index for had, _, index in found if had.probability < deadline.probability)
-            yield DeadlineProspect(operation.service, operation, deadline, least, where, short)
+            yield DeadlineProspect(operation, deadline, least, where, short)
 
 
 def _second(config: DroneConfig, near: Sequence[str]) -> str | None:
@@ -198,7 +187,7 @@ def _refusal(one: DeadlineProspect, waypoints: int) -> str:
     if len(one.short_of) > 1:
         where = f"{len(one.short_of)} of {waypoints} waypoints, such as {one.short_of[0]}"
     return (
-        f"service.{one.service}.deadline: {one.operation} is answered within {asked.within_s:g} s with a probability "
-        f"of {_least(one.least)} at least, and {asked.probability:g} is asked for: it is less at {where}: "
-        f"{one.where}; or ask for a lower p, or a longer s"
+        f"service.{one.operation.service}.deadline: {one.operation} is answered within {asked.within_s:g} s with a "
+        f"probability of {_least(one.least)} at least, and {asked.probability:g} is asked for: it is less at "
+        f"{where}: {one.where}; or ask for a lower p, or a longer s"
     )

@@ -6,11 +6,10 @@ import asyncio
 import contextlib
 import traceback
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from msgspec import Struct
 from msgspec.structs import replace
 
 from upwash.config import (
@@ -47,6 +46,7 @@ from upwash.drone.payload import Payload
 from upwash.drone.pending import AnswerAction, AnswerActions, Calls
 from upwash.drone.photographer import Photographer
 from upwash.drone.preparation import (
+    CallPorts,
     make_offloading,
     make_selection,
     onboard_services,
@@ -75,13 +75,8 @@ from upwash.ports import (
     Camera,
     ComingDown,
     Computer,
-    Dialer,
-    Finder,
-    Journal,
-    Network,
     Notifier,
     Program,
-    Runtime,
     VehicleNews,
 )
 from upwash.rpc.service import ServiceSpec, spec_of
@@ -94,21 +89,15 @@ _WORDS_KEPT = 8  # of the vehicle, as a reason of a loss
 _WORDS_BEFORE_S = 1.0  # they come with the report that shows the loss
 
 
-class Ports(Struct, frozen=True):
-    """The ports that a flight needs, real or simulated; `networks` has one for each radio.
+class Ports(CallPorts, frozen=True, kw_only=True):
+    """The ports that a flight needs, real or simulated.
 
     `ground` is the terrain, `album` keeps photos; None keeps none. The program runs on the `computer`.
     """
 
     autopilot: Autopilot
-    networks: Sequence[Network]
-    dialer: Dialer
-    onboard_dialer: Dialer
-    onboard_runtime: Runtime
     camera: Camera
     notifier: Notifier
-    journal: Journal
-    finder: Finder | None = None
     ground: Callable[[Position], Ground] = level_ground
     album: Album | None = None
     computer: Computer = AMPLE

@@ -11,17 +11,10 @@ from dataclasses import replace
 import msgspec
 from msgspec import Struct
 
-from upwash.config import (
-    AltitudesAboveSea,
-    DroneConfig,
-    MissionConfig,
-    PlanFile,
-    altitudes_above_sea,
-    is_planned_home,
-)
+from upwash.config import DroneConfig, MissionConfig, PlanFile, altitudes_above_sea, is_planned_home
 from upwash.core.geo import Position, ground_distance_m
 from upwash.errors import AutopilotRefused
-from upwash.plans import PlannedWaypoint
+from upwash.plans import FlightPlan, PlannedWaypoint
 from upwash.ports import VehicleLimits
 
 HOMES_AGREE_M = 30.0  # the error of a GPS in height, and of the terrain of a ground station
@@ -100,8 +93,8 @@ def above_home(config: DroneConfig, home_above_sea_m: float) -> DroneConfig:
     _require_same_home(file, above, home_above_sea_m)
     waypoints = tuple(_above_home(waypoint, home_above_sea_m) for waypoint in file.plan.waypoints)
     takeoff_m = config.mission.altitude_m
-    if above.takeoff_m is not None:
-        takeoff_m = above.takeoff_m - home_above_sea_m
+    if above.takeoff_above_sea_m is not None:
+        takeoff_m = above.takeoff_above_sea_m - home_above_sea_m
     for what, above_sea_m, altitude_m in _counted_from_sea(above, waypoints, takeoff_m):
         if altitude_m < _LOWEST_M:
             raise AutopilotRefused(
@@ -115,13 +108,14 @@ def above_home(config: DroneConfig, home_above_sea_m: float) -> DroneConfig:
     return msgspec.structs.replace(config, mission=mission)
 
 
-def _require_same_home(file: PlanFile, above: AltitudesAboveSea, home_above_sea_m: float) -> None:
-    if above.home_m is not None and abs(above.home_m - home_above_sea_m) > HOMES_AGREE_M:
+def _require_same_home(file: PlanFile, above: FlightPlan, home_above_sea_m: float) -> None:
+    if above.home_above_sea_m is not None and abs(above.home_above_sea_m - home_above_sea_m) > HOMES_AGREE_M:
         raise AutopilotRefused(
             "arm",
-            f"{file.file}: item {above.item} counts its altitude from the sea; the plan's home is "
-            f"{above.home_m:g} m above the sea, the vehicle's {home_above_sea_m:g} m (at most {HOMES_AGREE_M:g} m "
-            "apart are allowed): correct the planned home, or give altitudes above home; nothing was sent",
+            f"{file.file}: item {above.above_sea_level} counts its altitude from the sea; the plan's home is "
+            f"{above.home_above_sea_m:g} m above the sea, the vehicle's {home_above_sea_m:g} m (at most "
+            f"{HOMES_AGREE_M:g} m apart are allowed): correct the planned home, or give altitudes above home; "
+            "nothing was sent",
         )
 
 
@@ -134,11 +128,11 @@ def _above_home(waypoint: PlannedWaypoint, home_above_sea_m: float) -> PlannedWa
 
 
 def _counted_from_sea(
-    above: AltitudesAboveSea, waypoints: tuple[PlannedWaypoint, ...], takeoff_m: float
+    above: FlightPlan, waypoints: tuple[PlannedWaypoint, ...], takeoff_m: float
 ) -> Iterator[tuple[str, float, float]]:
     """For each converted altitude, its name, metres above the sea, and metres above home."""
-    if above.takeoff_m is not None:
-        yield "the take-off", above.takeoff_m, takeoff_m
+    if above.takeoff_above_sea_m is not None:
+        yield "the take-off", above.takeoff_above_sea_m, takeoff_m
     for waypoint in waypoints:
         if waypoint.above_sea_m is not None:
             yield f"item {waypoint.item}", waypoint.above_sea_m, waypoint.place.altitude_m

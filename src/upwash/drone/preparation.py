@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Literal, Protocol, get_args
+from typing import Literal, get_args
 
+from msgspec import Struct
 from msgspec.structs import replace
 
 from upwash.config import (
@@ -34,7 +35,6 @@ from upwash.core.planning.mission_model import MissionBeliefs, StopCall
 from upwash.core.planning.order import Forecaster, Order, best_order
 from upwash.core.policies.policy import Policy
 from upwash.core.selection.hedging import Hedging
-from upwash.core.selection.recovery import Probing
 from upwash.core.selection.selection import Selection
 from upwash.core.selection.settings import LighterSettings, SelectionSettings, TwoAnswers
 from upwash.core.vehicle.geofence import breached_by_way
@@ -48,7 +48,6 @@ from upwash.drone.server_session import ServerEndpoint
 from upwash.errors import UsageError
 from upwash.ports import Dialer, Finder, InstanceSpec, Journal, Network, Program, Runtime, Whereabouts
 from upwash.rpc.service import Method, ServiceSpec, spec_of
-from upwash.support.heat import Surroundings
 from upwash.support.text import counted
 
 
@@ -74,7 +73,7 @@ def make_selection(
             retry_s=policy.retry_s,
             radios=config.network.radios,
             gain_slot=policy.gain_slot,
-            probing=Probing(probe.first_s, probe.longest_s) if (probe := policy.probing) else None,
+            probing=policy.probing,
             lighter=_lighter(config, specs, estimates),
             two_answers=two_answers(config, specs, estimates),
             with_second=any(service.deadline for service in config.services),
@@ -85,48 +84,29 @@ def make_selection(
     )
 
 
-class CallPorts(Protocol):
-    """The ports that calls need; `networks` has one for each radio."""
+class CallPorts(Struct, frozen=True, kw_only=True):
+    """The ports that calls need; `networks` has one for each radio, `finder` looks up addresses."""
 
-    @property
-    def autopilot(self) -> Whereabouts:
-        """Where the drone is."""
-
-    @property
-    def networks(self) -> Sequence[Network]:
-        """A network for each radio."""
-
-    @property
-    def dialer(self) -> Dialer:
-        """Opens links to servers."""
-
-    @property
-    def onboard_dialer(self) -> Dialer:
-        """Opens links to the drone's own services."""
-
-    @property
-    def onboard_runtime(self) -> Runtime:
-        """Starts the drone's own services."""
-
-    @property
-    def journal(self) -> Journal:
-        """The event log."""
-
-    @property
-    def finder(self) -> Finder | None:
-        """Looks up addresses that the configuration does not have."""
+    autopilot: Whereabouts
+    networks: Sequence[Network]
+    dialer: Dialer
+    onboard_dialer: Dialer
+    onboard_runtime: Runtime
+    journal: Journal
+    finder: Finder | None = None
 
 
 def onboard_services(
     config: DroneConfig, specs: Mapping[str, ServiceSpec], programs: Mapping[str, Program], ports: CallPorts
 ) -> OnboardServices:
     """The configured services on the drone, which are yet to be started."""
-    heats = Surroundings(config.heat.ambient_c, config.heat.load_w) if config.heat else None
     return _started_by(
         ports,
         config,
         [
-            InstanceSpec(config.name, service.name, programs[service.name], service.local_pace_s, heats=heats)
+            InstanceSpec(
+                config.name, service.name, programs[service.name], service.local_pace_s, heats=config.heat
+            )
             for service in config.services
             if specs[service.name].on_drone
         ],
@@ -182,7 +162,7 @@ def make_offloading(
         dialer=ports.dialer,
         onboard=onboard,
         journal=ports.journal,
-        hedging=make_hedging(config, selection.estimates),
+        hedging=Hedging(selection.estimates, config.policy.hedging),
         deadlines=make_deadlines(config, specs, selection.estimates),
         before_sending=before_sending,
         first=first or (photos.order if photos else "oldest" if waiting_bytes else None),
@@ -190,42 +170,26 @@ def make_offloading(
     )
 
 
-def make_hedging(config: DroneConfig, estimates: Estimates) -> Hedging:
-    """The configured hedging; without `policy.hedging` it hedges no call."""
-    hedge = config.policy.hedging
-    if hedge is None:
-        return Hedging(estimates)
-    return Hedging(
-        estimates,
-        quantile=hedge.quantile,
-        budget=hedge.budget,
-        offline_s={
-            server.name: {
-                operation: delay_s
-                for operation in estimates.operations
-                if (delay_s := estimates.offline_s(server.name, operation)) is not None
-            }
-            for server in config.servers
-        },
-    )
-
-
 def make_estimates(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Estimates:
     """The offline estimates of every operation that has a local delay in the file, or that only servers run."""
     for service in config.services:
         _require_agreement(service, specs[service.name])
-    profiled = {service.name: dict(_profile(service, specs[service.name])) for service in config.services}
+    profiled = [
+        (service, operation, key)
+        for service in config.services
+        for operation, key in _profile(service, specs[service.name])
+    ]
     less = {
         operation: part
-        for service in config.services
-        for operation, part in _less(service, specs[service.name])
+        for service, operation, key in profiled
+        if specs[service.name].methods[operation.method].before is not None
+        and (part := _less(service, operation, key)) is not None
     }
     return Estimates(
         local_s={
-            operation: config_service.local_call_s[key]
-            for config_service in config.services
-            for operation, key in profiled[config_service.name].items()
-            if specs[config_service.name].on_drone
+            operation: service.local_call_s[key]
+            for service, operation, key in profiled
+            if specs[service.name].on_drone
         },
         servers={
             server.name: Beliefs(
@@ -233,15 +197,13 @@ def make_estimates(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Est
                 check_running_s=server.check_running_s,
                 remote_s={
                     operation: delay_s
-                    for service in config.services
-                    for operation, key in profiled[service.name].items()
+                    for service, operation, key in profiled
                     if not specs[service.name].methods[operation.method].once
                     and (delay_s := _remote_s(server, service, key)) is not None
                 },
                 transfer_s={
                     operation: 8 * service.request_bytes / server.bandwidth_bit_s
-                    for service in config.services
-                    for operation in profiled[service.name]
+                    for service, operation, _ in profiled
                     if operation in less and server.bandwidth_bit_s is not None
                 },
             )
@@ -269,16 +231,13 @@ def _require_agreement(service: ServiceConfig, spec: ServiceSpec) -> None:
         )
 
 
-def _less(service: ServiceConfig, spec: ServiceSpec) -> Iterator[tuple[Operation, Less]]:
-    """What the part before sending does to each operation that it has, and whose loss is known."""
-    measured = service.before_sending
-    if measured is None:
-        return
-    for operation, key in _profile(service, spec):
-        names = [name for name in (key, operation.method, "") if name in measured.loss]
-        if names and spec.methods[operation.method].before is not None:
-            share = measured.request_bytes / max(1, service.request_bytes)
-            yield operation, Less(measured.takes_s, share, measured.loss[names[0]])
+def _less(service: ServiceConfig, operation: Operation, key: str) -> Less | None:
+    """What the part before sending does to the operation; None without a part, or if its loss is unknown."""
+    if (measured := service.before_sending) is None:
+        return None
+    names = [name for name in (key, operation.method, "") if name in measured.loss]
+    share = measured.request_bytes / max(1, service.request_bytes)
+    return Less(measured.takes_s, share, measured.loss[names[0]]) if names else None
 
 
 def endpoints(
@@ -451,18 +410,14 @@ _WAYS_HOME = {"arducopter": ARDUCOPTER, "px4": PX4}
 def order_of(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Order:
     """The order of the waypoints by `mission.order`, for a configuration that was read from a file."""
     mission = config.mission
-    match mission.order:
-        case int(number):
-            sweep = sweeps_of(mission)[number]
-            return Order(sweep.waypoints, str(sweep), number)
-        case "best-sweep":
-            return _best(config, specs)
-    return Order(waypoints(mission))
-
-
-def _best(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Order:
-    mission, estimates = config.mission, make_estimates(config, specs)
-    given, fences = waypoints(mission), geofence(mission)
+    given = waypoints(mission)
+    if mission.order in ("given", "by-index"):  # which is given too, of a drone that is none of several
+        return Order(given)
+    possible = sweeps_of(mission)
+    if isinstance(mission.order, int):
+        sweep = possible[mission.order]
+        return Order(sweep.waypoints, str(sweep), mission.order)
+    estimates = make_estimates(config, specs)
     beliefs = mission_beliefs(config, specs, estimates, given)
     if not beliefs.stop:
         return Order(given, "as given: nothing is known of any call that could be forecast")
@@ -475,15 +430,17 @@ def _best(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Order:
         stands=start,
         home_s=lambda place: home_s(config, place, start),
     )
-    sweeps = sweeps_of(mission)
+    fences = geofence(mission)
     allowed = [
         sweep
-        for sweep in sweeps
+        for sweep in possible
         if breached_by_way(fences, [_HOME, *(waypoint.position for waypoint in sweep.waypoints)]) is None
     ]
     best = best_order(given, allowed, forecaster.mission_s)
-    if len(allowed) < len(sweeps):
-        forbidden = f"the geofence forbids {len(sweeps) - len(allowed)} of {counted(len(sweeps), 'sweep')}"
+    if len(allowed) < len(possible):
+        forbidden = (
+            f"the geofence forbids {len(possible) - len(allowed)} of {counted(len(possible), 'sweep')}"
+        )
         return replace(best, why=f"{best.why}; {forbidden}")
     return best
 

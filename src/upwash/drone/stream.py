@@ -10,36 +10,29 @@ import asyncio
 import contextlib
 import itertools
 from collections import deque
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 from upwash.config import DroneConfig
 from upwash.core.operation import Operation
 from upwash.drone.pending import Hearing
-from upwash.drone.preparation import make_offloading, make_selection, onboard_services, parts_before_sending
+from upwash.drone.preparation import (
+    CallPorts,
+    make_offloading,
+    make_selection,
+    onboard_services,
+    parts_before_sending,
+)
 from upwash.errors import Unanswered, UpwashError
 from upwash.eventlog import schema
-from upwash.ports import Dialer, Finder, Journal, Network, Program, Runtime, Whereabouts
+from upwash.ports import Program
 from upwash.rpc.service import Method, Patience, ServiceSpec
 from upwash.support.background import beside
 from upwash.support.text import worded
 
 T = TypeVar("T")
 _NUMBERS = schema.MOST_ITEMS  # of photos in the log, again and again
-
-
-@dataclass(frozen=True, slots=True)
-class StreamPorts:
-    """The ports that a stream needs; `networks` has one for each radio."""
-
-    autopilot: Whereabouts
-    networks: Sequence[Network]
-    dialer: Dialer
-    onboard_dialer: Dialer
-    onboard_runtime: Runtime
-    journal: Journal
-    finder: Finder | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +98,7 @@ class Stream(Generic[T]):
         specs: Mapping[str, ServiceSpec],
         programs: Mapping[str, Program],
         parts: Mapping[str, Program],
-        ports: StreamPorts,
+        ports: CallPorts,
         jpeg: Callable[[T], Awaitable[bytes]],
         answered: Callable[[T, StreamAnswer], None],
         at_most: int,

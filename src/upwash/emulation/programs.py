@@ -25,8 +25,7 @@ from upwash.config import (
     server_truth,
     told_in_numbers,
 )
-from upwash.config.coverage import CoverageFile
-from upwash.config.demand_map import DemandFile
+from upwash.config.kept_maps import CoverageFile, DemandFile
 from upwash.config.values import PlanFile
 from upwash.emulation.field import Field, drone_namespace, server_namespace
 from upwash.emulation.namespaces import inside, make_namespace

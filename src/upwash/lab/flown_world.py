@@ -260,7 +260,7 @@ def _computer(flown: FlownMission, ambient_c: int | None) -> _Computer:
     slow = dict.fromkeys(calls, 1.0)
     for _ in range(3 if ambient_c is not None else 1):
         if ambient_c is not None:
-            heat = Heat(Surroundings(ambient_c, _LOAD_W))
+            heat = Heat(Surroundings(ambient_c=ambient_c, load_w=_LOAD_W))
             for begun in flown.busy:
                 work_s = base.get(calls.get(begun, ""), begun[1])
                 took_s = heat.work(work_s, now_s=max(0.0, begun[0]))

@@ -13,7 +13,6 @@ import msgspec
 
 from upwash.config import (
     DroneConfig,
-    HeatConfig,
     Presence,
     VehicleConfig,
     coverage_of,
@@ -296,7 +295,7 @@ def _ports(
     joining = Joining()
     computer = DroneComputer(
         config.services,
-        heat=Heat(Surroundings(config.heat.ambient_c, config.heat.load_w)) if config.heat else None,
+        heat=Heat(config.heat) if config.heat else None,
         joining=joining,
         noise=config.noise.call,
         chance=drone.chance,
@@ -336,7 +335,7 @@ def _wind(config: DroneConfig) -> OverTime | None:
 def _energy(config: DroneConfig) -> EnergyMeter | None:
     if config.energy is None:
         return None
-    load_w = (config.heat or HeatConfig()).load_w
+    load_w = (config.heat or Surroundings()).load_w
     if config.energy.computer_load_w is not None:
         load_w = config.energy.computer_load_w
     return EnergyMeter(config.energy, load_w=load_w, radios=config.network.radios, wind=_wind(config))

@@ -15,7 +15,8 @@ import msgspec
 from upwash.config import DroneConfig
 from upwash.core.geo import LocalFrame
 from upwash.core.knowledge.servers import State
-from upwash.drone.stream import Stream, StreamAnswer, StreamPorts, photo_method
+from upwash.drone.preparation import CallPorts
+from upwash.drone.stream import Stream, StreamAnswer, photo_method
 from upwash.errors import UpwashError, UsageError
 from upwash.eventlog import schema
 from upwash.launch.drone import (
@@ -114,7 +115,7 @@ class _RosProgram:
             await stack.enter_async_context(beside(self._start(), name="the start of the node"))
         await self._live(ports)
 
-    async def _ports(self, journal: FileJournal, stack: contextlib.AsyncExitStack) -> StreamPorts:
+    async def _ports(self, journal: FileJournal, stack: contextlib.AsyncExitStack) -> CallPorts:
         config = self._config
         topic = config.ros.position
         self._whereabouts = (
@@ -122,7 +123,7 @@ class _RosProgram:
         )
         credentials = drone_credentials(config)
         own = OwnProcesses(config.name, max_message_bytes=config.max_message_bytes)
-        return StreamPorts(
+        return CallPorts(
             autopilot=self._whereabouts,
             networks=await opened_networks(config, self._whereabouts, journal, stack),
             dialer=server_dialer(config, credentials),
@@ -142,7 +143,7 @@ class _RosProgram:
     def _stop(self, _why: str) -> None:
         self._over.set()
 
-    async def _live(self, ports: StreamPorts) -> None:
+    async def _live(self, ports: CallPorts) -> None:
         """Is active whenever that is wanted, until it is over."""
         while not self._over.is_set():
             await first(self._wanted.wait(), self._over.wait())
@@ -157,7 +158,7 @@ class _RosProgram:
         if self._why and self._failure is not None:
             raise self._failure
 
-    async def _be_active(self, ports: StreamPorts) -> None:
+    async def _be_active(self, ports: CallPorts) -> None:
         stream = Stream[Any](
             self._config,
             specs=self._specs,

@@ -15,6 +15,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from msgspec import Struct
+
+from upwash.kinds import NotNegative
+
 _STEPS = (1.0, 1000 / 1500, 750 / 1500, 600 / 1500)  # of the full frequency
 _LIMIT_C = 80.0
 _HYSTERESIS_C = 0.5
@@ -41,12 +45,13 @@ class _Pole:
         self.rise_k += self.resistance_k_w * power_w * left
 
 
-@dataclass(frozen=True, slots=True)
-class Surroundings:
-    """The air around a computer, in °C, and the power that a call adds, in W."""
+class Surroundings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The drone's computer gets hot, and slow."""
 
-    ambient_c: float
-    load_w: float
+    ambient_c: float = 44.0
+    """The temperature of the air around the computer, in °C."""
+    load_w: NotNegative = 4.0
+    """The power that a call adds to the computer's, in watts."""
 
 
 @dataclass(slots=True)

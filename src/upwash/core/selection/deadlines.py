@@ -19,24 +19,30 @@ from bisect import bisect_right, insort
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
+from typing import Annotated
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from upwash.core.operation import Operation
 from upwash.core.selection.shares import calls_for, hits_for, least_share
+from upwash.kinds import Positive, Share
 
 MISS = 0.05  # the probability that a promise is too high
 _BOUNDS = 3  # of two servers
 _WINDOW_LENGTH = 3000  # delays; one server's 0.999 takes 2,995
 _MOMENT_S = 0.05  # answers and timers may be later than known by it
+Probability = Annotated[float, Meta(gt=0, lt=1, description="a number above 0 and below 1, such as 0.99")]
 
 
-class Deadline(Struct, frozen=True):
-    """Calls are answered within `within_s` with the `probability`; a second server gets the share `extra` at most."""
+class Deadline(Struct, frozen=True, forbid_unknown_fields=True, rename={"within_s": "s", "probability": "p"}):
+    """By when a call is answered, and how surely: [deadlines](deadlines.md)."""
 
-    within_s: float
-    probability: float
-    extra: float
+    within_s: Positive
+    """The time from the call to its answer, in seconds."""
+    probability: Probability
+    """The least probability of an answer in that time, such as 0.99; without it the flight is refused."""
+    extra: Share = 0.1
+    """The largest share of the calls that a second server may compute too."""
 
     def delays_needed(self, servers: int) -> int:
         """The fewest delays of each of one or two servers that show the probability, if all of them are in time."""

@@ -8,18 +8,36 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict, deque
-from collections.abc import Collection, Mapping
-from types import MappingProxyType
+from collections.abc import Collection
+from typing import Annotated
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.operation import Operation
 from upwash.core.policies.policy import Remote
+from upwash.kinds import Share
 
 _WINDOW_LENGTH = 100  # delays; 19 are needed to tell a p95, 99 a p99
 _EXCEEDS_BY_S = 0.001  # or calls that all take equally long would each be hedged as they are answered
 _FEW = 2.0  # times the longest delay known stands in for a quantile that so few cannot tell
+Quantile = Annotated[
+    str, Meta(pattern=r"^p[1-9][0-9]?\Z", description='a quantile from "p1" to "p99", such as "p95"')
+]
+
+
+class HedgeRule(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """When the drone's own service starts on a remote call that is late, and the share of extra work it may do."""
+
+    after: Quantile = "p95"
+    """The quantile of a server's delays; a longer call counts as late."""
+    budget: Share = 0.1
+    """The largest share of the drone's computing time that hedging may add."""
+
+    @property
+    def quantile(self) -> float:
+        """`after` as a fraction."""
+        return int(self.after[1:]) / 100
 
 
 class Hedge(Struct, frozen=True):
@@ -41,24 +59,11 @@ def quantile_s(delays_s: Collection[float], quantile: float, *, offline_s: float
 
 
 class Hedging:
-    """Plan the hedges of one drone, within its budget of extra work.
+    """Plan the hedges of one drone, within its budget of extra work; without a rule it hedges no call."""
 
-    `offline_s` has the estimates of calls sent whole, for each server and operation, before the first contact.
-    `budget` is the extra work allowed, as a share of the calls' time on the drone; 0 hedges no call.
-    """
-
-    def __init__(
-        self,
-        estimates: Estimates,
-        *,
-        quantile: float = 0.0,
-        budget: float = 0.0,
-        offline_s: Mapping[str, Mapping[Operation, float]] = MappingProxyType({}),
-    ) -> None:
+    def __init__(self, estimates: Estimates, rule: HedgeRule | None = None) -> None:
         self._estimates = estimates
-        self._quantile = quantile
-        self._budget = budget
-        self._offline_s = offline_s
+        self._rule = rule
         # The latest, of each operation on each server.
         self._delays_s: dict[tuple[str, Operation], deque[float]] = defaultdict(
             lambda: deque(maxlen=_WINDOW_LENGTH)
@@ -79,11 +84,13 @@ class Hedging:
         drone can answer `within_s` is hedged in time for that.
         """
         local_s = self._estimates.local_s(operation)
-        if is_busy or local_s is None or self._extra_s >= self._budget * self._calls_s:
+        if self._rule is None or is_busy or local_s is None:
+            return None
+        if self._extra_s >= self._rule.budget * self._calls_s:
             return None
         server, deadline_s = decision.server, decision.deadline_s
-        delays_s, offline_s = self._delays_s[server, operation], self._offline_s[server][operation]
-        late_s = quantile_s(delays_s, self._quantile, offline_s=offline_s)
+        offline_s = self._estimates.offline_s(server, operation) or 0.0
+        late_s = quantile_s(self._delays_s[server, operation], self._rule.quantile, offline_s=offline_s)
         if decision.inputs.sends_less:
             late_s = self._estimates.as_less_s(server, operation, late_s)
         after_s = min(late_s + _EXCEEDS_BY_S, deadline_s)

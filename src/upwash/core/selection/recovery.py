@@ -15,8 +15,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
+from typing import Annotated
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from upwash.core.operation import Operation
 
@@ -26,13 +27,20 @@ _WELL_S = 60.0
 _GROWTH = 1.25
 _SLOW_SHARE = 30
 _LONGEST_BETWEEN_TRIALS_S = 10.0
+Pause = Annotated[float, Meta(ge=0.2, le=60, description="a number from 0.2 to 60, in seconds")]
 
 
-class Probing(Struct, frozen=True):
-    """The pauses between probes of a failed server: the first, and the longest."""
+class Probing(Struct, frozen=True, forbid_unknown_fields=True):
+    """The pauses between questions to a server that failed: the first one, and the longest."""
 
-    first_s: float = 0.5
-    longest_s: float = 1.0
+    first_s: Pause = 0.5
+    """The first pause, in seconds."""
+    longest_s: Pause = 1.0
+    """The longest pause, in seconds."""
+
+    def __post_init__(self) -> None:
+        if self.first_s > self.longest_s:
+            raise ValueError(f"first_s is {self.first_s}, and longest_s only {self.longest_s}: pauses grow")
 
     def pauses_s(self, *, alone_s: float = 0.0) -> Iterator[float]:
         """The seconds to wait before each probe; before the first at least `alone_s`."""

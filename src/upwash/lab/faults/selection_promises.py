@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from upwash.config import ProbeConfig, ServerConfig, server_truth, true_areas
+from upwash.config import ServerConfig, server_truth, true_areas
 from upwash.core.geo import Position
 from upwash.core.knowledge.servers import SELECTED, TRANSITIONS, State, Trigger
-from upwash.core.selection.recovery import REST_S
+from upwash.core.selection.recovery import REST_S, Probing
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.faults.history import ANSWER_S, ROUNDING_S, Breach, History, flies_rows, position_jumps
@@ -119,7 +119,7 @@ def _contacted_too_soon(history: History) -> Iterator[Breach]:
 
 def _probed_too_much(history: History) -> Iterator[Breach]:
     """A failed server gets only probes, no more often than configured and than its failures allow."""
-    probing, spells = history.config.policy.probing or ProbeConfig(), spells_of(history)
+    probing, spells = history.config.policy.probing or Probing(), spells_of(history)
     last_s: dict[str, float] = {}
     for fact in history.own("sent"):
         server, now_s = fact.server, fact.t
@@ -155,7 +155,7 @@ class Spell:
 
 def spells_of(history: History) -> dict[str, list[Spell]]:
     """The spells of each server, by what it had failed before."""
-    probing = history.config.policy.probing or ProbeConfig()
+    probing = history.config.policy.probing or Probing()
     spells: dict[str, list[Spell]] = {}
     failures: dict[str, tuple[int, float]] = {}  # how many in a row, and when the last one was
     for event in history.run.events:

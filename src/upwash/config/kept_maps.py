@@ -1,0 +1,303 @@
+"""The files that keep, between flights, what was found at places: JSON around homes.
+
+People can read and mend the files. Positions are relative to a home, and the field around each home keeps its own: a
+mission elsewhere leaves what was found here as it is. A file that was damaged since it was written is put aside.
+"""
+
+from __future__ import annotations
+
+import errno
+import itertools
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Generic, Literal, TypeVar
+
+import msgspec
+from msgspec import Meta, Struct
+
+from upwash.config.values import HomeConfig
+from upwash.core.geo import (
+    FARTHEST_M,
+    MOST_PLACES,
+    GeoPosition,
+    LocalFrame,
+    Metres,
+    Position,
+    ground_distance_m,
+)
+from upwash.core.knowledge.coverage import Coverage, MeasuredPlace
+from upwash.core.knowledge.estimates import WINDOW_LENGTH
+from upwash.core.operation import Operation
+from upwash.core.planning.demand_map import DemandMap, DemandPlace
+from upwash.errors import ConfigError, NotWritten
+from upwash.support.input_files import read_file, text_of, why_unreadable
+from upwash.support.output_files import write_file
+
+FORGOTTEN_AFTER = 5  # flights without a visit, after which a place is forgotten
+
+_MOST_FIELDS = 100  # elsewhere; those where no flight was for longest are forgotten
+_FIELD_M = 10_000.0  # between homes of one field, where the plane of positions is true to 0.1 %
+_MOST_BYTES = 50_000_000
+_Count = Annotated[int, Meta(ge=0, le=2**53)]
+# No flight bounds how long a call may take, so a smaller bound would refuse maps that upwash itself writes.
+_Amount = Annotated[float, Meta(ge=0, le=1e18)]
+_Answers = Annotated[float, Meta(ge=0, le=1e9)]
+T = TypeVar("T")
+
+
+class _KeptMap(Generic[T]):
+    """The fields of a file, the latest first: each has a home, or none, and what was found around it.
+
+    A missing file and a damaged one have no field. Raises ConfigError for a file that cannot be read, or that never
+    was what it must be.
+    """
+
+    # No dataclass: msgspec would look for its fields in the configuration instead of asking how to read it.
+
+    _name: str
+    _mark: str  # the file's first key
+    _found: str  # the key of what was found
+    _content: type[Any]
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        self._fields, self._damage = self._read()
+
+    def __eq__(self, other: object) -> bool:
+        """Whether it is the same file with the same content."""
+        return isinstance(other, _KeptMap) and (self.file, self._fields) == (other.file, other._fields)
+
+    def __hash__(self) -> int:
+        """By the file."""
+        return hash(self.file)
+
+    @property
+    def notice(self) -> str:
+        """What becomes of a damaged file; "" for any other."""
+        if not self._damage:
+            return ""
+        return (
+            f"{self.file} is a damaged {self._name} ({self._damage}): the flight begins an empty one, and its end "
+            f"renames the damaged file {_aside(self.file).name}"
+        )
+
+    def _around(self, home: GeoPosition | None) -> Iterator[tuple[T, Position]]:
+        """What was found in the fields that the home lies in, and where their homes are from it."""
+        for its_home, found in self._fields:
+            if (at := _shift(its_home, home)) is not None:
+                yield found, at
+
+    def _write(self, home: GeoPosition | None, found: T) -> None:
+        """Write what the file keeps, without the oldest fields if it would be too large; raises NotWritten."""
+        elsewhere = [field for field in self._fields if _shift(field[0], home) is None][:_MOST_FIELDS]
+        at = None if home is None else HomeConfig.at(home)
+        while len(encoded := self._encoded([(at, found), *elsewhere])) >= _MOST_BYTES:
+            if not elsewhere:
+                raise NotWritten(self.file, OSError(errno.EFBIG, os.strerror(errno.EFBIG)), "it is unchanged")
+            elsewhere.pop()
+        try:
+            if self._read()[1]:
+                self.file.rename(_aside(self.file))
+        except (OSError, ConfigError) as error:
+            problem = error if isinstance(error, OSError) else OSError(errno.EINVAL, str(error))
+            raise NotWritten(self.file, problem, "it is unchanged") from error
+        write_file(self.file, encoded + b"\n")
+
+    def _encoded(self, fields: Iterable[tuple[HomeConfig | None, T]]) -> bytes:
+        here, *elsewhere = ({"home": home, self._found: found} for home, found in fields)
+        content = {self._mark: 1, **here, "elsewhere": elsewhere}
+        return msgspec.json.format(msgspec.json.encode(content), indent=1)
+
+    def _read(self) -> tuple[list[tuple[HomeConfig | None, T]], str]:
+        """The fields in the file as it is now, and how it was damaged."""
+        content = b""
+        try:
+            content = read_file(self.file, most_bytes=_MOST_BYTES)
+            kept = msgspec.json.decode(text_of(content), type=self._content)
+            return [(field.home, getattr(field, self._found)) for field in (kept, *kept.elsewhere)], ""
+        except FileNotFoundError:
+            return [], ""
+        except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+            if self._was_ours(content):
+                return [], str(error) if content.strip(b"\0") else "nothing is in it"
+            problem = f"no {self._name} of upwash: {error}: restore the file, or delete it to begin anew"
+            raise ConfigError(str(self.file), "", problem) from None
+        except (OSError, ValueError) as error:
+            why = why_unreadable(error)
+            problem = f"cannot be read ({why}): name a readable file, or delete this one to begin anew"
+            raise ConfigError(str(self.file), "", problem) from None
+
+    def _was_ours(self, content: bytes) -> bool:
+        """Whether it begins as a file of the map does, or has the zeros that a power cut leaves."""
+        begins = b"".join(content.strip(b"\0")[:100].split())
+        ours = f'{{"{self._mark}":'.encode()
+        return begins.startswith(ours) or ours.startswith(begins)
+
+
+def _moved(east_m: float, north_m: float, by: Position) -> Position | None:
+    """A field's place from the mission's home; None beyond the farthest position."""
+    east_m, north_m = east_m + by.east_m, north_m + by.north_m
+    return Position(east_m, north_m) if max(abs(east_m), abs(north_m)) <= FARTHEST_M else None
+
+
+def _shift(before: HomeConfig | None, home: GeoPosition | None) -> Position | None:
+    """The position of a field's home from the mission's home; None if it is elsewhere."""
+    if before is None or home is None:
+        return Position(0.0, 0.0) if before is None and home is None else None
+    at = LocalFrame(home).position(before.place)
+    return at if ground_distance_m(at, Position(0.0, 0.0)) <= _FIELD_M else None
+
+
+def _aside(file: Path) -> Path:
+    names = (file.with_name(f"{file.name}.damaged{number or ''}") for number in itertools.count())
+    return next(name for name in names if not os.path.lexists(name))
+
+
+class _Demands(Struct, forbid_unknown_fields=True):
+    east_m: Metres
+    north_m: Metres
+    answers: _Answers
+    demands: _Answers
+    flights_ago: _Count = 0
+
+
+class _DemandField(Struct, forbid_unknown_fields=True):
+    home: HomeConfig | None = None
+    places: Annotated[Sequence[_Demands], Meta(max_length=MOST_PLACES)] = ()
+
+
+class _DemandContent(_DemandField, kw_only=True, forbid_unknown_fields=True):
+    upwash_demands: Literal[1]
+    elsewhere: Annotated[Sequence[_DemandField], Meta(max_length=_MOST_FIELDS)] = ()
+
+
+class DemandFile(_KeptMap[Sequence[_Demands]]):
+    """A map of the places of answers with demands, and its file."""
+
+    _name, _mark, _found, _content = "map of demands", "upwash_demands", "places", _DemandContent
+
+    def places(self, home: GeoPosition | None) -> list[DemandPlace]:
+        """The places of earlier flights' answers around that home, at the beginning of the next flight."""
+        return [
+            DemandPlace(
+                position,
+                answers=place.answers,
+                demands=min(place.demands, place.answers),
+                flights_ago=place.flights_ago,
+            ).faded()
+            for places, its_home in self._around(home)
+            for place in places
+            if (position := _moved(place.east_m, place.north_m, its_home)) is not None
+        ]
+
+    def keep(self, known: DemandMap, home: GeoPosition | None) -> None:
+        """Write the map after a flight from that home; raises NotWritten.
+
+        Places that no flight had an answer from for five flights are forgotten.
+        """
+        places = [
+            _Demands(
+                round(place.position.east_m, 2),
+                round(place.position.north_m, 2),
+                round(place.answers, 4),
+                round(place.demands, 4),
+                place.flights_ago,
+            )
+            for place in known.places()
+            if place.flights_ago <= FORGOTTEN_AFTER
+        ]
+        self._write(home, places)
+
+
+class _Calls(Struct, forbid_unknown_fields=True):
+    service: str
+    method: str
+    key: str
+    came_to_s: Annotated[Sequence[_Amount], Meta(min_length=1, max_length=WINDOW_LENGTH)]
+
+
+class _Measured(Struct, forbid_unknown_fields=True):
+    east_m: Metres
+    north_m: Metres
+    tried: _Count
+    answered: _Count
+    bits: _Amount = 0.0
+    transfer_s: _Amount = 0.0
+    flights_ago: _Count = 0
+    calls: Sequence[_Calls] = ()
+
+
+class _CoverageField(Struct, forbid_unknown_fields=True):
+    home: HomeConfig | None = None
+    servers: Mapping[str, Annotated[Sequence[_Measured], Meta(max_length=MOST_PLACES)]] = {}
+
+
+class _CoverageContent(_CoverageField, kw_only=True, forbid_unknown_fields=True):
+    upwash_coverage: Literal[1]
+    elsewhere: Annotated[Sequence[_CoverageField], Meta(max_length=_MOST_FIELDS)] = ()
+
+
+class CoverageFile(_KeptMap[Mapping[str, Sequence[_Measured]]]):
+    """A coverage map, which has what a drone measured at each place of servers without a range, and its file."""
+
+    _name, _mark, _found, _content = "coverage map", "upwash_coverage", "servers", _CoverageContent
+
+    def places(self, home: GeoPosition | None) -> dict[str, list[MeasuredPlace]]:
+        """What earlier flights measured of each server, around that home; new values at each call."""
+        found: dict[str, list[MeasuredPlace]] = {}
+        for servers, its_home in self._around(home):
+            for server, places in servers.items():
+                known = found.setdefault(server, [])
+                known += (place for entry in places if (place := _place(entry, its_home)) is not None)
+        return found
+
+    def keep(self, coverage: Coverage, home: GeoPosition | None) -> None:
+        """Write the map after a flight from that home; raises NotWritten.
+
+        Servers that were not measured keep their places; places that no flight has measured for long are forgotten.
+        """
+        kept = {server: list(coverage.places(server)) for server in coverage.servers}
+        servers = {
+            server: [_entry(place) for place in places if place.flights_ago <= FORGOTTEN_AFTER][:MOST_PLACES]
+            for server, places in (self.places(home) | kept).items()
+        }
+        self._write(home, servers)
+
+
+def _place(entry: _Measured, home: Position) -> MeasuredPlace | None:
+    position = _moved(entry.east_m, entry.north_m, home)
+    if position is None:
+        return None
+    return MeasuredPlace(
+        position,
+        tried=max(entry.tried, entry.answered),
+        answered=entry.answered,
+        bits=entry.bits,
+        transfer_s=entry.transfer_s,
+        flights_ago=entry.flights_ago + 1,
+        came_to_s={
+            Operation(calls.service, calls.method, calls.key): tuple(calls.came_to_s) for calls in entry.calls
+        },
+    )
+
+
+def _entry(place: MeasuredPlace) -> _Measured:
+    return _Measured(
+        east_m=round(place.position.east_m, 2),
+        north_m=round(place.position.north_m, 2),
+        tried=place.tried,
+        answered=place.answered,
+        bits=place.bits,
+        transfer_s=round(place.transfer_s, 4),
+        flights_ago=place.flights_ago,
+        calls=[
+            _Calls(
+                operation.service,
+                operation.method,
+                operation.key,
+                [round(delay_s, 4) for delay_s in came_to_s],
+            )
+            for operation, came_to_s in place.came_to_s.items()
+        ],
+    )
