@@ -12,8 +12,9 @@ import pytest
 from tests.drone.test_resume import fly, scenario
 
 from upwash import Drone, Position
+from upwash.drone.calls import Calls
 from upwash.drone.mission import MissionThread
-from upwash.drone.pending import Calls, why_failed
+from upwash.drone.pending import why_failed
 from upwash.errors import InstanceError, MissionFailed, UsageError
 from upwash.eventlog import schema
 from upwash.rpc.service import make_stub

@@ -13,11 +13,11 @@ from typing import Any, NamedTuple, TypeAlias
 
 from upwash.core.geo import Position, Waypoint
 from upwash.core.planning.acts import Acts, LateAct, Way
-from upwash.drone.pending import AnswerAction, Place, position_of
+from upwash.drone.answers import AnswerAction
+from upwash.drone.places import Allows, Place, position_of
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
 
-Allows: TypeAlias = Callable[[Position, Position], bool]  # whether no fence forbids the straight way
 Answer: TypeAlias = AnswerAction[Any]
 
 

@@ -8,9 +8,10 @@ from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
 from upwash.core.geo import Position, Via, Waypoint, distance_m
-from upwash.core.selection.events import LegBegun, LegEnded, SelectionEvent
-from upwash.drone.pending import AnswerAction, Demand, index_of, one_answered, position_of
-from upwash.drone.rows import is_far, is_missed, lies_on, nearest_on, passed
+from upwash.core.selection.events import LegBegun, LegEnded, MissionBegun, SelectionEvent
+from upwash.drone.answers import AnswerAction, one_answered
+from upwash.drone.pending import Demand
+from upwash.drone.places import Place, ahead_m, index_of, is_far, is_missed, lies_on, nearest_on, position_of
 from upwash.drone.site import Site
 from upwash.errors import AutopilotError
 from upwash.eventlog import schema
@@ -18,6 +19,9 @@ from upwash.ports import Autopilot, Journal, VehicleLimits
 from upwash.support.background import begin, first
 
 _SHORT_M = 1.0  # a leg without a spot to pass
+_LEAST_S = 0.005  # between two looks at the position: 4 cm at 8 m/s
+_FASTER = 1.25  # a vehicle may exceed the speed of its leg: a PX4 flew 4.4 m/s for 4
+_UNSURE_S = 0.1  # between two looks while the position is in doubt
 
 
 class Legs:
@@ -39,17 +43,29 @@ class Legs:
     ) -> None:
         self._autopilot = autopilot
         self._journal = journal
-        self._site = site
+        self.site = site
         self._tell = tell
         self._default_m_s = default_m_s
+        self.in_the_air = False  # the mission has taken off, and not landed since
+        self.found_flying = False  # it has taken off before this program began, and not landed since
         self.limits = VehicleLimits()
         self.ground_speed_m_s: float | None = None
         self.on_a_leg = False
         self.stands_at: Position | None = None
-        self.place: Waypoint | Position | None = None
+        self.place: Place | None = None
         self._leg: asyncio.Task[None] | None = None  # that is flown while the mission looks at an answer
         self._leg_start: Position | None = None  # of that leg
         self._leg_end: Position | None = None
+
+    @property
+    def position(self) -> Position:
+        """Where the vehicle is."""
+        return self._autopilot.position
+
+    def take_up(self) -> None:
+        """Note that the vehicle is in the air, where an earlier program left it."""
+        self.in_the_air = self.found_flying = True
+        self._tell(MissionBegun(self._autopilot.energy, self._autopilot.pace))
 
     @property
     def rests(self) -> bool:
@@ -61,36 +77,42 @@ class Legs:
         await self._autopilot.set_ground_speed(ground_speed_m_s)
         self.ground_speed_m_s = ground_speed_m_s
 
-    async def goto(
-        self,
-        position: Position,
-        *,
-        waypoint: int | None = None,
-        ground_speed_m_s: float | None = None,
-        hold_s: float = 0.0,
-        back: bool = False,
-    ) -> None:
-        """Fly to a place, from rest to rest; raises AutopilotRefused if a fence forbids the way."""
-        self._site.require_leg(self.limits, self.stands_at or self._autopilot.position, position)
+    async def goto(self, place: Place, *, back: bool = False) -> None:
+        """Fly to a place, from rest to rest, `back` to a waypoint whose calls are over.
+
+        Raises AutopilotRefused if a fence forbids the way.
+        """
+        self.place = place
+        position, hold_s = position_of(place), 0.0
+        self.site.require_leg(self.limits, self.stands_at or self._autopilot.position, position)
+        if isinstance(place, Waypoint):
+            await self._set_planned_speed(place.ground_speed_m_s)
+            hold_s = 0.0 if back else place.hold_s
+        about: dict[str, Any] = {
+            "waypoint": index_of(place),
+            "east_m": position.east_m,
+            "north_m": position.north_m,
+        }
+        self._journal.record(schema.SetOff(**about, back=back))
+        self._tell(LegBegun(position, self.ground_speed_m_s, back=back))
+        await self._fly(position)
+        self._tell(LegEnded())
+        self._journal.record(schema.Arrived(**about, hold_s=hold_s))
+        if hold_s:
+            await asyncio.sleep(hold_s)
+
+    async def _set_planned_speed(self, ground_speed_m_s: float | None) -> None:
         if ground_speed_m_s is not None and ground_speed_m_s != self.ground_speed_m_s:
             await self.set_ground_speed(ground_speed_m_s)
-        self._journal.record(
-            schema.SetOff(waypoint=waypoint, east_m=position.east_m, north_m=position.north_m, back=back)
-        )
-        self._tell(LegBegun(position, self.ground_speed_m_s, back=back))
+
+    async def _fly(self, end: Position) -> None:
         self.stands_at = None
         self.on_a_leg = True
         try:
-            await self._autopilot.goto(position)
+            await self._autopilot.goto(end)
         finally:
             self.on_a_leg = False
-        self.stands_at = position
-        self._tell(LegEnded())
-        self._journal.record(
-            schema.Arrived(waypoint=waypoint, east_m=position.east_m, north_m=position.north_m, hold_s=hold_s)
-        )
-        if hold_s:
-            await asyncio.sleep(hold_s)
+        self.stands_at = end
 
     async def until_answered(self, verb: Coroutine[Any, Any, None] | None, demand: Demand[Any]) -> bool:
         """Begin to fly, or fly on; return True on arrival, or False, still in flight, when an answer is there."""
@@ -108,28 +130,21 @@ class Legs:
 
     def allows(self, start: Position, target: Position) -> bool:
         """Whether no fence forbids the leg."""
-        return self._site.allows_leg(self.limits, start, target)
+        return self.site.allows_leg(self.limits, start, target)
 
     async def set_off(self, end: Position, ground_speed_m_s: float | None = None) -> None:
         """Set off for the end of a leg, and do not wait for the arrival."""
         await self.arrive()
         start = self.stands_at or self._autopilot.position
-        self._site.require_leg(self.limits, start, end)
+        self.site.require_leg(self.limits, start, end)
         self._leg_start, self._leg_end = start, end
         self._leg = begin(self._fly_leg(end, ground_speed_m_s))
 
     async def _fly_leg(self, end: Position, ground_speed_m_s: float | None) -> None:
-        if ground_speed_m_s is not None and ground_speed_m_s != self.ground_speed_m_s:
-            await self.set_ground_speed(ground_speed_m_s)
-        self.stands_at = None
-        self.on_a_leg = True
-        try:
-            await self._autopilot.goto(end)
-        finally:
-            self.on_a_leg = False
-        self.stands_at = end
+        await self._set_planned_speed(ground_speed_m_s)
+        await self._fly(end)
 
-    def passes(self, place: Waypoint | Position) -> bool:
+    def passes(self, place: Place) -> bool:
         """Whether the leg that is flown passes the place, or has just passed it; True too in doubt of its place."""
         start, end, spot = self._leg_start, self._leg_end, position_of(place)
         if start is None or end is None or not lies_on(spot, start, end):
@@ -141,7 +156,7 @@ class Legs:
         start, end, here = self._leg_start, self._leg_end, self._autopilot.position
         return here if start is None or end is None else nearest_on(start, end, here)
 
-    def head_for(self, place: Waypoint | Position, via: tuple[Via, ...] = ()) -> None:
+    def head_for(self, place: Place, via: tuple[Via, ...] = ()) -> None:
         """Note that the place is the next one on the leg, or on those over `via`."""
         position = position_of(place)
         self._journal.record(
@@ -149,13 +164,13 @@ class Legs:
         )
         self.turn(place, via)
 
-    def turn(self, place: Waypoint | Position, via: tuple[Via, ...] = ()) -> None:
+    def turn(self, place: Place, via: tuple[Via, ...] = ()) -> None:
         """Note that the next leg on the way to the place begins."""
         self.place = place
         planned_m_s = place.ground_speed_m_s if isinstance(place, Waypoint) and not via else None
         self._tell(LegBegun(position_of(place), planned_m_s or self.ground_speed_m_s, via=via))
 
-    async def fly_on(self, place: Waypoint | Position, answers: Sequence[AnswerAction[Any]]) -> bool:
+    async def fly_on(self, place: Place, answers: Sequence[AnswerAction[Any]]) -> bool:
         """Return True where it passes the place, or rests there at the end of the leg.
 
         Return False when one of the answers is there, or when it has missed the place.
@@ -180,12 +195,11 @@ class Legs:
         """As `fly_on`, of a place that is none of the mission's."""
         leg, start, end = self._leg, self._leg_start, self._leg_end
         assert leg is not None and start is not None and end is not None  # noqa: S101 - it was set off
-        fastest_m_s = self.ground_speed_m_s or self._default_m_s
         is_there = False
 
         async def passes() -> None:
             nonlocal is_there
-            await passed(self._autopilot, position, start=start, end=end, fastest_m_s=fastest_m_s)
+            await self._passed(position, start=start, end=end)
             is_there = True
 
         waits: list[Coroutine[Any, Any, Any]] = [one_answered(answers)] if answers else []
@@ -200,6 +214,18 @@ class Legs:
             await self.arrive()
             is_there = True
         return is_there
+
+    async def _passed(self, spot: Position, *, start: Position, end: Position) -> None:
+        """Return when the vehicle, sure of its position, has passed the spot from `start` to `end`."""
+        vehicle, fastest_m_s = self._autopilot, self.ground_speed_m_s or self._default_m_s
+        while True:
+            left_m = ahead_m(spot, vehicle.position, start=start, end=end)
+            if left_m <= 0 and vehicle.position_is_sure:
+                return
+            velocity = vehicle.telemetry.velocity
+            speed_m_s = max(fastest_m_s, velocity.speed_m_s if velocity else 0.0)
+            ahead_s = left_m / (_FASTER * speed_m_s)
+            await asyncio.sleep(max(_LEAST_S, ahead_s) if left_m > 0 else _UNSURE_S)
 
     def _misses(self, spot: Position, *, start: Position, end: Position) -> bool:
         """Whether it is sure to have passed a spot too far away, or long ago, as in a silence of its link.
