@@ -246,14 +246,14 @@ def acts_on_the_spot(original: Any, self: Settling, answer: AnswerAction[Any], w
 @planted("an answer that comes after the waypoint is not acted upon", AnswerAction, "finish")
 def forgets_what_is_late(finish: Any, self: AnswerAction[Any], waited_s: float) -> None:
     if self.is_away:
-        self.demand._holds = False
+        self._holds = False
     finish(self, waited_s)
 
 
 @planted("what an answer demands is done again on arrival", AnswerAction, "finish")
 def acts_twice(finish: Any, self: AnswerAction[Any], waited_s: float) -> None:
     finish(self, waited_s)
-    if self.is_away and self.demand.holds():
+    if self.is_away and self.holds():
         finish(self, waited_s)
 
 

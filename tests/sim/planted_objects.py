@@ -26,7 +26,7 @@ plant("each finding of an object has an act", FlightObjects, "_is_claimed", lamb
 @planted("an act on an object is done at the waypoint of its photo", ObjectAct, "_locate")
 def acts_at_the_waypoint(locate: Any, self: ObjectAct) -> None:
     locate(self)
-    self.place = self._objects._findings[self.demand.claim.key].taken_at
+    self.place = self._objects._findings[self._claim.key].taken_at
 
 
 @planting("findings are placed by the last photo")

@@ -59,8 +59,8 @@ def takes_twice(taken: Any, self: Several, waited_s: float = 0.0, **about: Any) 
     before = [answer for answer in self._open if answer.call.is_over]
     demanding = taken(self, waited_s, **about)
     for answer in before:
-        answer.demand._holds = None
-        answer.demand.holds()
+        answer._holds = None
+        answer.holds()
     return demanding
 
 

@@ -6,28 +6,29 @@ import asyncio
 import contextlib
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 from upwash.core.geo import Position, distance_m
 from upwash.core.planning.stay_or_go import StayRule
 from upwash.drone.objects import ActOnObject
-from upwash.drone.pending import Demand
+from upwash.drone.pending import Demand, OpenCall
 from upwash.drone.places import Place, index_of, position_of
 from upwash.eventlog import schema
 
 T = TypeVar("T")
 
 
-class AnswerAction(Generic[T]):
+class AnswerAction(Demand[T]):
     """What to do about an answer: `act`, at its place, if the answer demands it.
 
-    An exception of the call goes to `failed` there, or to the mission without `failed`. If the demand only tells, so
-    does `act`: each answer, at any place, and it only notifies. The call is `of` the act on an object that made it.
+    An exception of the call goes to `failed` there, or to the mission without `failed`. Without a question `act` only
+    notifies, of each answer, at any place. The call is `of` the act on an object that made it.
     """
 
     def __init__(
         self,
-        demand: Demand[T],
+        call: OpenCall,
+        question: Callable[[T], object] | None,
         act: Callable[[T], object],
         *,
         place: Place | None,
@@ -35,9 +36,7 @@ class AnswerAction(Generic[T]):
         failed: Callable[[Exception], object] | None = None,
         of: ActOnObject | None = None,
     ) -> None:
-        self.demand = demand
-        self.call = demand.call
-        self.only_tells = demand.only_tells
+        super().__init__(call, question)
         self.place = place
         self.waypoint = index_of(place)
         self.object: int | None = None  # the number of the object that is acted on
@@ -67,10 +66,10 @@ class AnswerAction(Generic[T]):
 
     def demands(self) -> bool:
         """Whether the answer, which is there, has a demand; logs one."""
-        holds = self.demand.holds()
+        holds = self.holds()
         if holds and not self._is_noted:
             self._is_noted = True
-            self.demand.note()
+            self.note()
         return holds
 
     def come_back(self, fly: Callable[[Place], object], here: Position, waited_s: float) -> None:
@@ -85,7 +84,7 @@ class AnswerAction(Generic[T]):
         self.is_over = True
         self.call.end()  # the first of two answers is acted on
         self.learn()
-        demanded = self.demand.holds()
+        demanded = self.holds()
         self.call.take(waited_s, demanded=demanded)
         if self._of is not None:
             self._of.end_call(self.answer_if_any(), self.call.photo)
@@ -125,7 +124,7 @@ class AnswerAction(Generic[T]):
         if self.needs_server or self.only_tells:  # it says little of the answers that the drone may wait for
             return
         if self.call.is_over:
-            self._learn(demanded=self.demand.holds())
+            self._learn(demanded=self.holds())
 
     def _learn(self, *, demanded: bool) -> None:
         if not self._is_learnt:
@@ -148,5 +147,5 @@ async def one_answered(
     """
     for answer in answers if waits else ():
         answer.call.hearing.waits.set()
-    news = set().union(*(answer.demand.news for answer in answers))
+    news = set().union(*(answer.news for answer in answers))
     await asyncio.wait(news, timeout=within_s, return_when=asyncio.FIRST_COMPLETED)

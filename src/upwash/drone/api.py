@@ -15,7 +15,7 @@ from upwash.drone.mission import MissionThread
 from upwash.drone.object_acts import ObjectAnswer
 from upwash.drone.objects import FoundObject
 from upwash.drone.payload import Payload
-from upwash.drone.pending import Demand, Pending
+from upwash.drone.pending import Pending
 from upwash.drone.photographer import Photographer
 from upwash.drone.places import position_of
 from upwash.drone.settling import Settling
@@ -170,7 +170,7 @@ class Drone:
         once, at any place. If the call raises an exception, `failed` gets it at this waypoint; without `failed`, the
         method that waits raises it there. On a row of `mission.photos` the mission goes on over many waypoints.
         """
-        self._settling.take_up(self._settling.action(pending.demands(demands), act, failed))
+        self._settling.take_up(self._settling.action(pending.call, demands, act, failed))
 
     def when_answered(
         self,
@@ -185,7 +185,7 @@ class Drone:
         last answer. Of two answers the last counts. If the call raises an exception, `failed` gets the exception;
         without `failed` that verb raises it. `tell` and `failed` may only notify: other verbs raise UsageError.
         """
-        self._settling.leave_open(self._settling.action(Demand(pending.call), tell, failed))
+        self._settling.leave_open(self._settling.action(pending.call, None, tell, failed))
 
     def act_once(
         self,

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, ParamSpec, Protocol, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import msgspec
 
 from upwash.core.operation import Operation
 from upwash.drone.answered_photos import AnsweredPhotos, NumberedPhoto
 from upwash.drone.mission import MissionThread
+from upwash.drone.offloading import Offloading
 from upwash.drone.pending import Hearing, OpenCall, Pending
 from upwash.errors import UsageError
 from upwash.eventlog import schema
@@ -22,53 +24,29 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class Invoke(Protocol):
-    """Makes one call; of several open calls the log has the `waypoint`, and an urgent one comes first."""
-
-    def __call__(
-        self,
-        operation: Operation,
-        method: Method,
-        request: bytes,
-        waypoint: int | None = None,
-        *,
-        urgent: bool = False,
-        hearing: Hearing,
-    ) -> Coroutine[Any, Any, Any]:
-        """The decoded reply; of two answers the last, and `hearing` gets the first."""
-
-
+@dataclass(eq=False)
 class Calls:
     """Makes the mission's calls, from its thread; `waypoint` returns the drone's waypoint, None off the plan.
 
-    With `several` they may be open at the same time.
+    Several may be open at the same time if they stand in line.
     """
 
-    def __init__(
-        self,
-        thread: MissionThread,
-        invoke: Invoke,
-        journal: Journal,
-        *,
-        waypoint: Callable[[], int | None],
-        photos: AnsweredPhotos | None = None,
-        several: bool = False,
-    ) -> None:
-        self._photos = photos or AnsweredPhotos()
-        self._thread = thread
-        self._invoke = invoke
-        self._journal = journal
-        self._waypoint = waypoint
-        self._several = several
-        self._started: list[OpenCall] = []  # the last one, and others that are not over
+    thread: MissionThread
+    offloading: Offloading
+    journal: Journal
+    waypoint: Callable[[], int | None]
+    photos: AnsweredPhotos
+    _started: list[OpenCall] = field(
+        default_factory=list, init=False
+    )  # the last one, and others that are not over
 
     def call(self, operation: Operation, method: Method, request: bytes) -> Any:
         """Makes a call and waits for its decoded reply; UsageError while another call is pending."""
         self._require_free(operation)
         photo = self._photo(method, request)
-        self._photos.hand_over(photo)
+        self.photos.hand_over(photo)
 
-        after, waypoint = self._dropped, self._waypoint()
+        after, waypoint = self._dropped, self.waypoint()
 
         async def run() -> Any:
             hearing = self._hearing(waypoint)
@@ -77,8 +55,8 @@ class Calls:
                 operation, method, request, after=after, waypoint=waypoint, hearing=hearing, urgent=True
             )
 
-        reply = self._thread.call(run())
-        self._photos.answered(getattr(reply, "value", None), photo)
+        reply = self.thread.call(run())
+        self.photos.answered(getattr(reply, "value", None), photo)
         return reply
 
     def start(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Pending[T]:
@@ -88,31 +66,35 @@ class Calls:
         """
         operation, method, request = request_of(call, args, kwargs)
         self._require_free(operation)
-        after, waypoint = self._dropped, self._waypoint()
+        after, waypoint = self._dropped, self.waypoint()
         started = OpenCall(
-            operation,
-            method,
-            thread=self._thread,
-            journal=self._journal,
-            photos=self._photos,
+            operation=operation,
+            method=method,
+            thread=self.thread,
+            journal=self.journal,
+            photos=self.photos,
             waypoint=waypoint,
             photo=self._photo(method, request),
             is_alone=not self._several,
         )
 
         def begin() -> None:
-            self._journal.record(schema.CallStarted(operation=str(operation), waypoint=waypoint))
+            self.journal.record(schema.CallStarted(operation=str(operation), waypoint=waypoint))
             hearing = self._hearing(waypoint)
             work = self._run(operation, method, request, after=after, waypoint=waypoint, hearing=hearing)
             started.begin(work, hearing)
 
         self._started = [call for call in self._started if not call.is_over] + [started]
-        self._thread.post(begin)
+        self.thread.post(begin)
         return Pending(started)
 
     async def close(self) -> None:
         """Ends calls that are still under way; for the loop, after the mission's last call."""
         await end(*(call.task for call in self._started))
+
+    @property
+    def _several(self) -> bool:
+        return self.offloading.server_calls is not None
 
     @property
     def _dropped(self) -> OpenCall | None:
@@ -121,12 +103,12 @@ class Calls:
 
     def _photo(self, method: Method, request: bytes) -> NumberedPhoto | None:
         try:
-            return self._photos.of_call(method.arguments(request).values())
+            return self.photos.of_call(method.arguments(request).values())
         except msgspec.MsgspecError:  # the service refuses them
-            return self._photos.of_call(())
+            return self.photos.of_call(())
 
     def _require_free(self, operation: Operation) -> None:
-        self._thread.require_turn()
+        self.thread.require_turn()
         last = self._started[-1] if self._started else None
         if not (self._several or last is None or last.is_dropped or last.is_over):
             raise UsageError(
@@ -136,7 +118,7 @@ class Calls:
 
     def _hearing(self, waypoint: int | None) -> Hearing:
         def note_first(operation: Operation, delay_s: float) -> None:
-            self._journal.record(
+            self.journal.record(
                 schema.FirstAnswer(waypoint=waypoint, operation=str(operation), delay_s=delay_s)
             )
 
@@ -155,5 +137,5 @@ class Calls:
     ) -> Any:
         if after is not None:
             await after.over()
-        invoke = partial(self._invoke, operation, method, request, hearing=hearing)
+        invoke = partial(self.offloading.invoke, operation, method, request, hearing=hearing)
         return await (invoke(waypoint, urgent=urgent) if self._several else invoke())

@@ -19,15 +19,12 @@ from upwash.config import (
     ending,
     geofence,
     leaving,
-    pace_in_numbers,
     planned_way,
     server_areas,
-    told_pace,
 )
 from upwash.core.camera.georeference import Ground, level_ground
 from upwash.core.geo import Circle, Position, rounded
 from upwash.core.planning.acts import Acts
-from upwash.core.planning.legs import Pace
 from upwash.core.planning.order import Order
 from upwash.core.planning.stay_or_go import StayRule
 from upwash.core.policies.policy import Policy
@@ -59,7 +56,6 @@ from upwash.drone.preparation import (
 from upwash.drone.reserve import ReserveWatch
 from upwash.drone.rows import Rows
 from upwash.drone.seeking import Seeking
-from upwash.drone.server_calls import ServerCalls
 from upwash.drone.settling import Settling
 from upwash.drone.site import Site
 from upwash.drone.sparing import AMPLE, Sparing, SparingAlbum, SparingDialer
@@ -181,7 +177,6 @@ class Flight:
             config, specs, selection, ports, self._onboard, before_sending=self._before_sending
         )
         self._homecoming = Homecoming(ports.autopilot, ports.journal)
-        self._watch = self._reserve_watch()
         self._legs = Legs(
             ports.autopilot,
             ports.journal,
@@ -189,15 +184,17 @@ class Flight:
             tell=self._offloading.tell,
             default_m_s=config.mission.ground_speed_m_s,
         )
+        self._watch = ReserveWatch(
+            config, ports.autopilot, ports.journal, legs=self._legs, homecoming=self._homecoming
+        )
         self._photos = AnsweredPhotos()
         self._settling = self._settles(specs, selection, objects or FlightObjects())
         self._calls = Calls(
             self._thread,
-            self._offloading.invoke,
+            self._offloading,
             ports.journal,
-            photos=self._photos,
             waypoint=lambda: index_of(self._legs.place),
-            several=self._offloading.server_calls is not None,
+            photos=self._photos,
         )
 
     async def run(self) -> None:
@@ -269,70 +266,42 @@ class Flight:
         }
         if calls is None:
             return Stops(**about)
-        photos = config.mission.photos
         return Rows(
             **about,
-            at_most=photos.at_most if photos else len(self._plan) + 1,
-            ground_speed_m_s=config.mission.ground_speed_m_s,
-            acceleration_m_s2=self._pace.acceleration_m_s2,
-            photo_s=config.camera.photo_s,
-            rests=photos is None,
+            config=config,
             servers=None if all(spec.on_drone for spec in specs.values()) else calls,
-            seeking=self._seeking(calls, selection),
-        )
-
-    def _seeking(self, calls: ServerCalls, selection: Selection) -> Seeking:
-        config, autopilot = self._config, self._ports.autopilot
-        returns = ending(config.mission) == "return"
-        return Seeking(
-            calls,
-            self._ports.journal,
-            selection=selection,
-            believed=self._offloading.believed,
-            where_to_wait=self._offloading.where_to_wait,
-            areas={
-                name: area
-                for name, area in server_areas(config).items()
-                if isinstance(area, Circle) and config.policy.name != "local-only"
-            },
-            plan=self._plan,
-            home=lambda: autopilot.energy.returns_to(autopilot.position).position if returns else None,
-            home_s=self._home_s,
-            ground_speed_m_s=config.mission.ground_speed_m_s,
-            pace=self._pace,
-            gain_switch=config.policy.gain_switch,
-            detour_s=config.policy.detour_s,
-            spare_s=self._watch.spare_s,
+            seeking=Seeking(
+                config=config,
+                plan=self._plan,
+                calls=calls,
+                selection=selection,
+                offloading=self._offloading,
+                legs=self._legs,
+                reserve=self._watch,
+                journal=self._ports.journal,
+            ),
         )
 
     def _late_acts(self) -> LateActs:
-        config, autopilot = self._config, self._ports.autopilot
+        config, home_s = self._config, self._watch.home_s
         acts = Acts[AnswerAction[Any]](
             self._plan,
             leaving=[via.position for via in leaving(config.mission)],
             ground_speed_m_s=config.mission.ground_speed_m_s,
-            pace=self._pace,
+            pace=self._watch.pace,
             photo_s=config.camera.photo_s,
-            home_s=self._home_s if ending(config.mission) == "return" else None,
+            home_s=home_s if ending(config.mission) == "return" else None,
         )
         return LateActs(
-            autopilot,
-            self._ports.journal,
+            autopilot=self._ports.autopilot,
+            journal=self._ports.journal,
             plan=self._plan,
             acts=acts,
             when_to_act=self._offloading.when_to_act,
             within_s=config.policy.acts_within_s,
-            home_s=self._home_s,
+            home_s=home_s,
             spare_s=self._watch.spare_s,
         )
-
-    @property
-    def _pace(self) -> Pace:
-        return told_pace(self._config.vehicle) or pace_in_numbers(self._config.vehicle)
-
-    def _home_s(self, place: Position) -> float:
-        """The seconds from a place to the ground at home, on average."""
-        return self._pace.home_share * self._ports.autopilot.energy.time_home_s(place)
 
     def _planned(self) -> schema.Planned:
         mission = self._config.mission
@@ -534,20 +503,6 @@ class Flight:
         if not autopilot.control.is_ours:
             self._follows = True
             await follow(autopilot, journal, until=self._stop_following)
-
-    def _reserve_watch(self) -> ReserveWatch:
-        def leg_speed_m_s() -> float | None:
-            legs, default_m_s = self._legs, self._config.mission.ground_speed_m_s
-            return (legs.ground_speed_m_s or default_m_s) if legs.on_a_leg else None
-
-        return ReserveWatch(
-            self._config,
-            self._ports.autopilot,
-            self._ports.journal,
-            flying=lambda: self._legs.in_the_air,
-            leg_speed_m_s=leg_speed_m_s,
-            down_s=lambda: self._homecoming.left_s,
-        )
 
     async def _watch_battery(self) -> None:
         while True:

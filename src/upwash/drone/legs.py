@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable, Coroutine, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from upwash.core.geo import Position, Via, Waypoint, distance_m
@@ -24,48 +25,46 @@ _FASTER = 1.25  # a vehicle may exceed the speed of its leg: a PX4 flew 4.4 m/s 
 _UNSURE_S = 0.1  # between two looks while the position is in doubt
 
 
+@dataclass(eq=False)
 class Legs:
     """Flies one leg after the other, and knows where the vehicle was last sent to.
 
     `limits` are the vehicle's own, read before arming. `stands_at` is where exactly it was sent, which is
     not quite where it is; None on a leg. `ground_speed_m_s` is the speed as it was last set, None for the configured
-    one.
+    one. `found_flying` is a vehicle that has taken off before this program began, and not landed since.
     """
 
-    def __init__(
-        self,
-        autopilot: Autopilot,
-        journal: Journal,
-        *,
-        site: Site,
-        tell: Callable[[SelectionEvent], None],
-        default_m_s: float,
-    ) -> None:
-        self._autopilot = autopilot
-        self._journal = journal
-        self.site = site
-        self._tell = tell
-        self._default_m_s = default_m_s
-        self.in_the_air = False  # the mission has taken off, and not landed since
-        self.found_flying = False  # it has taken off before this program began, and not landed since
-        self.limits = VehicleLimits()
-        self.ground_speed_m_s: float | None = None
-        self.on_a_leg = False
-        self.stands_at: Position | None = None
-        self.place: Place | None = None
-        self._leg: asyncio.Task[None] | None = None  # that is flown while the mission looks at an answer
-        self._leg_start: Position | None = None  # of that leg
-        self._leg_end: Position | None = None
+    autopilot: Autopilot
+    journal: Journal
+    site: Site
+    tell: Callable[[SelectionEvent], None]
+    default_m_s: float
+    limits: VehicleLimits = field(default_factory=VehicleLimits, init=False)
+    in_the_air: bool = field(default=False, init=False)
+    found_flying: bool = field(default=False, init=False)
+    ground_speed_m_s: float | None = field(default=None, init=False)
+    on_a_leg: bool = field(default=False, init=False)
+    stands_at: Position | None = field(default=None, init=False)
+    place: Place | None = field(default=None, init=False)
+    # The leg that is flown while the mission looks at an answer.
+    _leg: asyncio.Task[None] | None = field(default=None, init=False)
+    _leg_start: Position | None = field(default=None, init=False)
+    _leg_end: Position | None = field(default=None, init=False)
 
     @property
     def position(self) -> Position:
         """Where the vehicle is."""
-        return self._autopilot.position
+        return self.autopilot.position
+
+    @property
+    def leg_speed_m_s(self) -> float | None:
+        """The commanded speed of the leg that is flown; None between legs."""
+        return (self.ground_speed_m_s or self.default_m_s) if self.on_a_leg else None
 
     def take_up(self) -> None:
         """Note that the vehicle is in the air, where an earlier program left it."""
         self.in_the_air = self.found_flying = True
-        self._tell(MissionBegun(self._autopilot.energy, self._autopilot.pace))
+        self.tell(MissionBegun(self.autopilot.energy, self.autopilot.pace))
 
     @property
     def rests(self) -> bool:
@@ -74,7 +73,7 @@ class Legs:
 
     async def set_ground_speed(self, ground_speed_m_s: float) -> None:
         """Set the ground speed of the following legs, in metres per second."""
-        await self._autopilot.set_ground_speed(ground_speed_m_s)
+        await self.autopilot.set_ground_speed(ground_speed_m_s)
         self.ground_speed_m_s = ground_speed_m_s
 
     async def goto(self, place: Place, *, back: bool = False) -> None:
@@ -84,20 +83,15 @@ class Legs:
         """
         self.place = place
         position, hold_s = position_of(place), 0.0
-        self.site.require_leg(self.limits, self.stands_at or self._autopilot.position, position)
+        self.site.require_leg(self.limits, self.stands_at or self.autopilot.position, position)
         if isinstance(place, Waypoint):
             await self._set_planned_speed(place.ground_speed_m_s)
             hold_s = 0.0 if back else place.hold_s
-        about: dict[str, Any] = {
-            "waypoint": index_of(place),
-            "east_m": position.east_m,
-            "north_m": position.north_m,
-        }
-        self._journal.record(schema.SetOff(**about, back=back))
-        self._tell(LegBegun(position, self.ground_speed_m_s, back=back))
+        self.journal.record(schema.SetOff(**_named(place), back=back))
+        self.tell(LegBegun(position, self.ground_speed_m_s, back=back))
         await self._fly(position)
-        self._tell(LegEnded())
-        self._journal.record(schema.Arrived(**about, hold_s=hold_s))
+        self.tell(LegEnded())
+        self.journal.record(schema.Arrived(**_named(place), hold_s=hold_s))
         if hold_s:
             await asyncio.sleep(hold_s)
 
@@ -109,7 +103,7 @@ class Legs:
         self.stands_at = None
         self.on_a_leg = True
         try:
-            await self._autopilot.goto(end)
+            await self.autopilot.goto(end)
         finally:
             self.on_a_leg = False
         self.stands_at = end
@@ -135,7 +129,7 @@ class Legs:
     async def set_off(self, end: Position, ground_speed_m_s: float | None = None) -> None:
         """Set off for the end of a leg, and do not wait for the arrival."""
         await self.arrive()
-        start = self.stands_at or self._autopilot.position
+        start = self.stands_at or self.autopilot.position
         self.site.require_leg(self.limits, start, end)
         self._leg_start, self._leg_end = start, end
         self._leg = begin(self._fly_leg(end, ground_speed_m_s))
@@ -153,22 +147,19 @@ class Legs:
 
     def left(self) -> Position:
         """The place of the last leg that is nearest to the vehicle; the vehicle's place before the first leg."""
-        start, end, here = self._leg_start, self._leg_end, self._autopilot.position
+        start, end, here = self._leg_start, self._leg_end, self.autopilot.position
         return here if start is None or end is None else nearest_on(start, end, here)
 
     def head_for(self, place: Place, via: tuple[Via, ...] = ()) -> None:
         """Note that the place is the next one on the leg, or on those over `via`."""
-        position = position_of(place)
-        self._journal.record(
-            schema.SetOff(waypoint=index_of(place), east_m=position.east_m, north_m=position.north_m)
-        )
+        self.journal.record(schema.SetOff(**_named(place)))
         self.turn(place, via)
 
     def turn(self, place: Place, via: tuple[Via, ...] = ()) -> None:
         """Note that the next leg on the way to the place begins."""
         self.place = place
         planned_m_s = place.ground_speed_m_s if isinstance(place, Waypoint) and not via else None
-        self._tell(LegBegun(position_of(place), planned_m_s or self.ground_speed_m_s, via=via))
+        self.tell(LegBegun(position_of(place), planned_m_s or self.ground_speed_m_s, via=via))
 
     async def fly_on(self, place: Place, answers: Sequence[AnswerAction[Any]]) -> bool:
         """Return True where it passes the place, or rests there at the end of the leg.
@@ -179,16 +170,11 @@ class Legs:
         assert start is not None and end is not None  # noqa: S101 - it was set off
         if not await self.fly_through(position, answers) or self._misses(position, start=start, end=end):
             return False
-        self._tell(LegEnded())
-        self._journal.record(
-            schema.Arrived(
-                waypoint=index_of(place),
-                east_m=position.east_m,
-                north_m=position.north_m,
-                passing=not self.rests,
-                **({"hold_s": place.hold_s} if isinstance(place, Waypoint) and place.hold_s else {}),
-            )
+        self.tell(LegEnded())
+        hold: dict[str, Any] = (
+            {"hold_s": place.hold_s} if isinstance(place, Waypoint) and place.hold_s else {}
         )
+        self.journal.record(schema.Arrived(**_named(place), **hold, passing=not self.rests))
         return True
 
     async def fly_through(self, position: Position, answers: Sequence[AnswerAction[Any]]) -> bool:
@@ -217,7 +203,7 @@ class Legs:
 
     async def _passed(self, spot: Position, *, start: Position, end: Position) -> None:
         """Return when the vehicle, sure of its position, has passed the spot from `start` to `end`."""
-        vehicle, fastest_m_s = self._autopilot, self.ground_speed_m_s or self._default_m_s
+        vehicle, fastest_m_s = self.autopilot, self.ground_speed_m_s or self.default_m_s
         while True:
             left_m = ahead_m(spot, vehicle.position, start=start, end=end)
             if left_m <= 0 and vehicle.position_is_sure:
@@ -232,12 +218,12 @@ class Legs:
 
         A leg that is flown reaches its end. At rest only a spot where the vehicle surely is counts as reached.
         """
-        here, is_sure = self._autopilot.position, self._autopilot.position_is_sure
+        here, is_sure = self.autopilot.position, self.autopilot.position_is_sure
         if self.rests and (not is_sure or is_far(spot, here)):
             return True
         if end in (spot, start) or not is_sure:
             return False
-        speed_m_s = self.ground_speed_m_s or self._default_m_s
+        speed_m_s = self.ground_speed_m_s or self.default_m_s
         return is_missed(spot, here, start=start, end=end, speed_m_s=speed_m_s)
 
     async def stop(self) -> None:
@@ -253,12 +239,12 @@ class Legs:
 
     async def stop_short_of(self, target: Position) -> None:
         """Brake; end the leg at its target instead if braking would lead beyond it, where no check was made."""
-        here, stopping_place = self._autopilot.position, self._autopilot.stopping_place
+        here, stopping_place = self.autopilot.position, self.autopilot.stopping_place
         if distance_m(here, stopping_place) > distance_m(here, target):
             await self.arrive()
         else:
             await self.end()
-            await self._autopilot.hold()
+            await self.autopilot.hold()
 
     async def end(self) -> None:
         """Cancel the leg under way, if any."""
@@ -267,3 +253,9 @@ class Legs:
             leg.cancel()
             with contextlib.suppress(asyncio.CancelledError, AutopilotError):
                 await leg
+
+
+def _named(place: Place) -> dict[str, Any]:
+    """The place, as events have it."""
+    position = position_of(place)
+    return {"waypoint": index_of(place), "east_m": position.east_m, "north_m": position.north_m}

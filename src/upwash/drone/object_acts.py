@@ -19,7 +19,7 @@ from upwash.core.geo import Position
 from upwash.drone.answered_photos import NumberedPhoto
 from upwash.drone.answers import AnswerAction
 from upwash.drone.objects import Claim, FlightObjects, FoundObject
-from upwash.drone.pending import Demand, OpenCall
+from upwash.drone.pending import OpenCall
 from upwash.drone.places import Place, position_of
 from upwash.drone.settling import Settling
 from upwash.errors import AutopilotRefused
@@ -43,15 +43,16 @@ class ObjectAnswer(AnswerAction[T]):
         failed: Callable[[Exception], object] | None,
     ) -> None:
         super().__init__(
-            Demand(call),
+            call,
+            None,
             tell or (lambda _: None),
             place=settling.legs.place,
             rule=settling.rule,
             failed=failed,
         )
         self._settling = settling
-        self._on_object = act
-        self._wanted = wanted or (lambda _: True)
+        self.on_object = act
+        self.wanted = wanted or (lambda _: True)
         self._claims: list[ObjectAct] = []
 
     def finish(self, waited_s: float) -> None:
@@ -60,10 +61,7 @@ class ObjectAnswer(AnswerAction[T]):
             objects, place = self._settling.objects, self.place
             taken_at = position_of(place) if place is not None else self._settling.legs.position
             findings = objects.take(answer, self.call.photo, taken_at)
-            self._claims = [
-                ObjectAct(_Claimed(self.call, objects, claim, self._wanted), self._on_object, found_by=self)
-                for claim in objects.claim(findings, self._wanted)
-            ]
+            self._claims = [ObjectAct(self, objects, claim) for claim in objects.claim(findings, self.wanted)]
         try:
             super().finish(waited_s)
         finally:
@@ -76,47 +74,39 @@ class ObjectAnswer(AnswerAction[T]):
             self._learn(demanded=bool(self._claims))
 
 
-class _Claimed(Demand[Any]):
-    """Stands for the question about an object: whether the mission still acts on it."""
+class ObjectAct(AnswerAction[Any]):
+    """The act at the place of a claimed object; its demand is that the mission still acts on the object."""
 
+    place: Position
     is_heard = is_due = True  # as the answer is there
 
-    def __init__(self, call: OpenCall, objects: FlightObjects, claim: Claim, wanted: Act) -> None:
-        super().__init__(call, bool)
-        self.objects, self.claim, self._wanted = objects, claim, wanted
-
-    @property
-    def found(self) -> FoundObject:
-        """The object, by all photos until now."""
-        return self.objects.found(self.claim.key)
-
-    def why_not(self) -> str:
-        """Why the mission does not act on the object any more; "" if it does."""
-        if not self.objects.is_alone(self.claim):
-            return "it is the same object as another"
-        return "" if self._wanted(self.found) else "later photos have settled it"
-
-    def holds(self) -> bool:
-        """Whether the object is one of its own, and wanted."""
-        return not self.why_not()
-
-
-class ObjectAct(AnswerAction[Any]):
-    """The act at the place of a claimed object."""
-
-    demand: _Claimed
-    place: Position
-
-    def __init__(self, demand: _Claimed, act: Act, *, found_by: ObjectAnswer[Any]) -> None:
-        super().__init__(demand, act, place=None, rule=found_by.rule)
-        self._objects = demand.objects
+    def __init__(self, found_by: ObjectAnswer[Any], objects: FlightObjects, claim: Claim) -> None:
+        super().__init__(found_by.call, bool, found_by.on_object, place=None, rule=found_by.rule)
+        self._wanted = found_by.wanted
+        self._objects = objects
+        self._claim = claim
         self.waypoint = found_by.waypoint
-        self.object = demand.claim.number
+        self.object = claim.number
         self.is_away = True
         self._open = 0  # answers of its calls
         self._is_done = False
         self._locate()
-        self.call.note(schema.Demanded(waypoint=self.waypoint, object=self._record))
+        self.call.note(schema.Demanded(waypoint=self.waypoint, object=self._objects.record(claim)))
+
+    @property
+    def _found(self) -> FoundObject:
+        """The object, by all photos until now."""
+        return self._objects.found(self._claim.key)
+
+    def _why_not(self) -> str:
+        """Why the mission does not act on the object any more; "" if it does."""
+        if not self._objects.is_alone(self._claim):
+            return "it is the same object as another"
+        return "" if self._wanted(self._found) else "later photos have settled it"
+
+    def holds(self) -> bool:
+        """Whether the object is one of its own, and wanted."""
+        return not self._why_not()
 
     @property
     def is_held(self) -> bool:
@@ -125,7 +115,7 @@ class ObjectAct(AnswerAction[Any]):
 
     def demands(self) -> bool:
         """Whether the object is wanted; its place is that of now."""
-        holds = self.demand.holds()
+        holds = self.holds()
         if holds:
             self._locate()
         return holds
@@ -145,11 +135,11 @@ class ObjectAct(AnswerAction[Any]):
         """Act on the object if the mission still wants that."""
         del waited_s
         self.is_over = True
-        if why := self.demand.why_not():
+        if why := self._why_not():
             self._leave_out(why)
             return
         with self._under_way():
-            self._act(self.demand.found)
+            self._act(self._found)
         self._is_done = True
         self._note_if_over()
 
@@ -167,7 +157,7 @@ class ObjectAct(AnswerAction[Any]):
     def end_call(self, answer: Any, photo: NumberedPhoto | None) -> None:
         """Join the findings of a call that the act had left open, and note the act if that was the last one."""
         if answer is not None:
-            self._objects.take(answer, photo, self.demand.found.position)
+            self._objects.take(answer, photo, self._found.position)
         self._open -= 1
         self._note_if_over()
 
@@ -181,17 +171,13 @@ class ObjectAct(AnswerAction[Any]):
             self._objects.acting = before
 
     def _locate(self) -> None:
-        self.place = self.demand.found.position
-
-    @property
-    def _record(self) -> schema.FoundRecord:
-        return self._objects.record(self.demand.claim)
+        self.place = self._found.position
 
     def _note_if_over(self) -> None:
         if self._is_done and not self._open:
-            self.call.note(schema.Acted(waypoint=self.waypoint, object=self._record))
+            self.call.note(schema.Acted(waypoint=self.waypoint, object=self._objects.record(self._claim)))
 
     def _leave_out(self, why: str) -> None:
         self.is_over = True
-        self._objects.release_if_joined(self.demand.claim)
-        self.call.note(schema.NotActed(waypoint=self.waypoint, object=self.demand.claim.number, why=why))
+        self._objects.release_if_joined(self._claim)
+        self.call.note(schema.NotActed(waypoint=self.waypoint, object=self._claim.number, why=why))

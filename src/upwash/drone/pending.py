@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine
+from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar, cast
 
 from upwash.core.operation import Operation
@@ -37,37 +38,30 @@ class Hearing:
         self._note(operation, delay_s)
 
 
+@dataclass(kw_only=True, eq=False)
 class OpenCall:
     """A started call as the drone follows it: methods wait in the mission's thread, coroutines run on the loop.
 
     Where the mission makes one call at a time, the call `is_alone`. `took_s` is the time until it was over.
     """
 
-    def __init__(
-        self,
-        operation: Operation,
-        method: Method,
-        *,
-        thread: MissionThread,
-        journal: Journal,
-        photos: AnsweredPhotos,
-        waypoint: int | None,
-        photo: NumberedPhoto | None,
-        is_alone: bool,
-    ) -> None:
-        self.operation = operation
-        self.needs_server = method.patience is not None
-        self.thread = thread
-        self.waypoint = waypoint
-        self.photo = photo
-        self.is_alone = is_alone
-        self.is_dropped = False
-        self.took_s = 0.0
-        self._method = method
-        self._journal = journal
-        self._photos = photos
-        self._begun: tuple[asyncio.Task[Any], Hearing] | None = None
-        self._is_taken = False
+    operation: Operation
+    method: Method
+    thread: MissionThread
+    journal: Journal
+    photos: AnsweredPhotos
+    waypoint: int | None
+    photo: NumberedPhoto | None
+    is_alone: bool
+    is_dropped: bool = field(default=False, init=False)
+    took_s: float = field(default=0.0, init=False)
+    _begun: tuple[asyncio.Task[Any], Hearing] | None = field(default=None, init=False)
+    _is_taken: bool = field(default=False, init=False)
+
+    @property
+    def needs_server(self) -> bool:
+        """Whether only servers compute the call."""
+        return self.method.patience is not None
 
     def begin(self, work: Coroutine[Any, Any, Any], hearing: Hearing) -> None:
         """Begin the work, on the loop, before the mission's next verb."""
@@ -146,18 +140,18 @@ class OpenCall:
 
     def answer_of(self, reply: Any) -> Any:
         """The answer in a reply; raises the call's exception."""
-        answer = self._method.result(reply)
-        self._photos.answered(answer, self.photo)
+        answer = self.method.result(reply)
+        self.photos.answered(answer, self.photo)
         return answer
 
     def hand_over(self) -> Any:
         """The last answer that is there, for the mission's program."""
-        self._photos.hand_over(self.photo)
+        self.photos.hand_over(self.photo)
         return self.answer_of(self.reply)
 
     def look(self, see: Callable[[], T]) -> T:
         """Have the mission's program look at the answer."""
-        with self._photos.looking_at(self.photo):
+        with self.photos.looking_at(self.photo):
             return see()
 
     def take(self, waited_s: float, *, demanded: bool = False) -> None:
@@ -172,7 +166,7 @@ class OpenCall:
 
     def note(self, event: schema.Event) -> None:
         """Log an event about the answer."""
-        self.thread.post(lambda: self._journal.record(event))
+        self.thread.post(lambda: self.journal.record(event))
 
 
 async def _waited_s(*answers: asyncio.Future[Any]) -> float:

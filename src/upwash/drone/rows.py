@@ -40,11 +40,8 @@ _IN_TIME = 2  # open answers, at most, of a drone whose answers come before the 
 
 @dataclass(kw_only=True, eq=False)
 class Rows(Several):
-    """Flies a plan of rows at a speed; a photo takes `photo_s`."""
+    """Flies a plan of rows."""
 
-    ground_speed_m_s: float
-    acceleration_m_s2: float
-    photo_s: float
     _end: Position | None = field(default=None, init=False)  # of the leg that is flown
     _leg_m_s: float | None = field(default=None, init=False)
     _last: Waypoint | None = field(default=None, init=False)  # that the mission flew to
@@ -184,7 +181,7 @@ class Rows(Several):
         if self.servers is None or not isinstance(place, Waypoint) or not self._open:
             return
         here = self.legs.position
-        if self.thread.call(self.seeking.leads_away(here, place)):
+        if self.thread.call(self.seeking.leads_away(place)):
             self.stop()
             self.thread.call(self.seeking.wait_here(here))
         onwards = self._onwards(place)
@@ -259,9 +256,12 @@ class Rows(Several):
             return None
         if self.unheard > _IN_TIME:  # late answers share detours, which cost less
             return None
-        speed_m_s, acceleration_m_s2 = self.ground_speed_m_s, self.acceleration_m_s2
         outlook = RowOutlook(
-            speed_m_s, acceleration_m_s2, rule.answer_s, self.photo_s, rests_anyway=rests_anyway
+            self.config.mission.ground_speed_m_s,
+            self.seeking.reserve.pace.acceleration_m_s2,
+            rule.answer_s,
+            self.config.camera.photo_s,
+            rests_anyway=rests_anyway,
         )
         return rule.decide(outlook, spot.position)
 

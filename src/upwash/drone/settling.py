@@ -19,7 +19,7 @@ from upwash.drone.late_acts import LateActs, Onwards
 from upwash.drone.legs import Legs
 from upwash.drone.mission import MissionThread
 from upwash.drone.objects import FlightObjects
-from upwash.drone.pending import Demand
+from upwash.drone.pending import Demand, OpenCall
 from upwash.drone.places import Place, position_of
 from upwash.eventlog import schema
 from upwash.ports import Journal
@@ -72,13 +72,14 @@ class Settling:
 
     def action(
         self,
-        demand: Demand[T],
+        call: OpenCall,
+        question: Callable[[T], object] | None,
         act: Callable[[T], object],
         failed: Callable[[Exception], object] | None,
     ) -> AnswerAction[T]:
         """What the mission does about an answer to a call that it made here."""
         place, of = self.legs.place, self.objects.acting
-        return AnswerAction(demand, act, place=place, rule=self.rule, failed=failed, of=of)
+        return AnswerAction(call, question, act, place=place, rule=self.rule, failed=failed, of=of)
 
     def take_up(self, answer: AnswerAction[Any]) -> None:
         """Wait for the answer and settle it, or leave it open and return."""
@@ -98,7 +99,7 @@ class Settling:
     def hear(self, answer: AnswerAction[Any]) -> bool:
         """Wait for the answer, of two for the first; act on it, or return False where a better one may come."""
         waited_s = answer.call.wait_for_first()
-        if not answer.demand.holds() and not answer.call.is_over:
+        if not answer.holds() and not answer.call.is_over:
             return False
         answer.finish(waited_s)
         return True

@@ -15,6 +15,7 @@ from collections.abc import Coroutine, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from upwash.config import DroneConfig
 from upwash.core.geo import Position, Waypoint, distance_m
 from upwash.drone.answers import AnswerAction, one_answered
 from upwash.drone.late_acts import Onwards
@@ -30,19 +31,23 @@ _LATER = 2.0  # times what an answer is expected to take that the drone waits fo
 
 @dataclass(kw_only=True, eq=False)
 class Several(Settling):
-    """Settles up to `at_most` open answers in the order in which they come.
+    """Settles several open answers in the order in which they come.
 
-    If it `rests`, the drone stops at each waypoint. `seeking` finds stops where servers answer. `servers` are the
-    calls that only servers compute, None if the mission has no service of servers alone.
+    `seeking` finds stops where servers answer. `servers` are the calls that only servers compute, None if the mission
+    has no service of servers alone.
     """
 
-    at_most: int
+    config: DroneConfig
     seeking: Seeking
-    rests: bool = False
-    servers: ServerCalls | None = None
+    servers: ServerCalls | None
     _open: list[AnswerAction[Any]] = field(default_factory=list, init=False)
     _stays: bool = field(default=False, init=False)  # at rest, until its answer is there
     _acts: bool = field(default=False, init=False)
+
+    @property
+    def rests(self) -> bool:
+        """Whether the drone stops at each waypoint."""
+        return self.config.mission.photos is None
 
     @property
     def flies(self) -> bool:
@@ -89,10 +94,12 @@ class Several(Settling):
             return
         if self._stays and not answer.only_tells:
             self._wait_below(1)
-        if (waiting := self.unheard) >= self.at_most:
+        photos = self.config.mission.photos
+        at_most = photos.at_most if photos else len(self.legs.site.waypoints) + 1
+        if (waiting := self.unheard) >= at_most:
             self._note(schema.PhotosWait(waiting=waiting))
             self.stop()
-            self._wait_below(self.at_most)
+            self._wait_below(at_most)
 
     def owe(self, act: AnswerAction[Any]) -> None:
         """Do the act, whose answer is there, or put it off."""
@@ -121,8 +128,7 @@ class Several(Settling):
         """Before the way home, fly to a place where servers answer waiting calls, if the detour pays."""
         if self.servers is None or not self._open:
             return
-        here = self.legs.position
-        place = self.thread.call(self.seeking.beside_way_home(here, self.legs.allows))
+        here, place = self.legs.position, self.thread.call(self.seeking.beside_way_home())
         if place is None:
             return
         if distance_m(here, place) > _THERE_M:
@@ -145,7 +151,7 @@ class Several(Settling):
     @property
     def unheard(self) -> int:
         """How many open answers are not there and come without a server too; of two the first counts."""
-        return sum(not (answer.demand.is_heard or answer.needs_server) for answer in self._open)
+        return sum(not (answer.is_heard or answer.needs_server) for answer in self._open)
 
     def meet(self, demanding: list[AnswerAction[Any]], onwards: Onwards | None = None) -> Place | None:
         """Act on the answers in their order, and on those that come meanwhile; return where the last was.
@@ -173,7 +179,7 @@ class Several(Settling):
     ) -> list[AnswerAction[Any]]:
         """The open answers that are there and have a demand, the nearest first; others that are there are taken."""
         demanding, seen, here = [], list(but), self.legs.position
-        while due := [answer for answer in self._open if answer.demand.is_due and answer not in seen]:
+        while due := [answer for answer in self._open if answer.is_due and answer not in seen]:
             for answer in due:  # those that are taken may owe acts
                 seen.append(answer)
                 if answer.is_held:
@@ -250,15 +256,14 @@ class Several(Settling):
 
         Answers that are there are taken first.
         """
-        unheard = [answer for answer in self._open if not (answer.demand.is_heard or answer.needs_server)]
+        unheard = [answer for answer in self._open if not (answer.is_heard or answer.needs_server)]
         if not unheard:
             return False
         self.thread.call(asyncio.sleep(0))  # the loop begins the last call
-        if any(answer.demand.is_due for answer in unheard):
+        if any(answer.is_due for answer in unheard):
             return False
         waiting = [answer.call.operation for answer in unheard]
-        here, allows = self.legs.position, self.legs.allows
-        sooner = self.seeking.sooner(waiting, here, allows, following=following, back=back, but=sought)
+        sooner = self.seeking.sooner(waiting, following=following, back=back, but=sought)
         if (place := self.thread.call(sooner)) is None:
             return False
         self.fly(place)

@@ -70,7 +70,7 @@ class Stops(Settling):
             self.fly(place)
             return
         answer.is_away = True
-        if not self.fly_unless(place, answer.demand, late=answer):
+        if not self.fly_unless(place, answer, late=answer):
             if not answer.is_over:  # else its acts are done
                 self.come_back(answer)
             self.fly(place)

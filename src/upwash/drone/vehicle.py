@@ -167,35 +167,31 @@ class Vehicle:
 
     def return_home_and_land(self) -> None:
         """Flies back to the vehicle's home or rally point, lands, and returns when it has landed."""
-        self._come_down("return", self._homecoming.return_and_land, schema.Returning)
+        self._come_down("return")
 
     def land(self) -> None:
         """Lands where the vehicle is, and returns when it has landed."""
-        self._come_down("land", self._homecoming.land, schema.Landing)
+        self._come_down("land")
 
     def disarm(self) -> None:
         """Stops the motors of the landed vehicle."""
         self._settling.settle()
         self._thread.call(self._logged(self._autopilot.disarm, schema.Disarmed))
 
-    def _come_down(
-        self,
-        how: ComingDown,
-        verb: Callable[[], Coroutine[Any, Any, None]],
-        doing: type[schema.Returning | schema.Landing],
-    ) -> None:
+    def _come_down(self, how: ComingDown) -> None:
         self._settling.settle(comes_back=how == "land")
         self._settling.seek_answers()
-        self._thread.call(self._descend(verb, doing))
+        self._thread.call(self._descend(how))
         self._legs.in_the_air = self._legs.found_flying = False
         self._settling.after_landing()
 
-    async def _descend(
-        self, verb: Callable[[], Coroutine[Any, Any, None]], doing: type[schema.Returning | schema.Landing]
-    ) -> None:
+    async def _descend(self, how: ComingDown) -> None:
         self._tell(DescentBegun())
-        self._journal.record(doing(position=rounded(self._autopilot.position)))
-        await verb()
+        here = rounded(self._autopilot.position)
+        self._journal.record(
+            schema.Returning(position=here) if how == "return" else schema.Landing(position=here)
+        )
+        await (self._homecoming.return_and_land() if how == "return" else self._homecoming.land())
         self._journal.record(self._homecoming.landed())
 
     async def _turn_to(self, heading_deg: float) -> None:
