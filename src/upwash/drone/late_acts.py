@@ -33,6 +33,12 @@ class Onwards(NamedTuple):
     end: Position | None = None
     rests: bool = True
 
+    @classmethod
+    def straight_to(cls, place: Place, *, rests: bool) -> Onwards:
+        """A leg to the place and no farther, which is flown, or over."""
+        end = position_of(place)
+        return cls(place, end, end, rests)
+
 
 @dataclass(eq=False)
 class LateActs:

@@ -110,17 +110,22 @@ class Legs:
 
     async def until_answered(self, verb: Coroutine[Any, Any, None] | None, demand: Demand[Any]) -> bool:
         """Begin to fly, or fly on; return True on arrival, or False, still in flight, when an answer is there."""
-        leg = self._leg = self._leg if verb is None else begin(verb)
+        self._leg = self._leg if verb is None else begin(verb)
+        return await self._ends_before(demand.answered())
+
+    async def _ends_before(self, *waits: Coroutine[Any, Any, Any]) -> bool:
+        """Return True at rest at the end of the leg, or False, still in flight, after the first of the waits."""
+        leg = self._leg
         assert leg is not None  # noqa: S101 - it was begun
         try:
-            await first(asyncio.wait([leg]), demand.answered())
+            await first(asyncio.wait([leg]), *waits)
         except asyncio.CancelledError:
             await self.end()
             raise
-        if not leg.done():
-            return False
-        await self.arrive()
-        return True
+        if leg.done():
+            await self.arrive()
+            return True
+        return False
 
     def allows(self, start: Position, target: Position) -> bool:
         """Whether no fence forbids the leg."""
@@ -179,9 +184,8 @@ class Legs:
 
     async def fly_through(self, position: Position, answers: Sequence[AnswerAction[Any]]) -> bool:
         """As `fly_on`, of a place that is none of the mission's."""
-        leg, start, end = self._leg, self._leg_start, self._leg_end
-        assert leg is not None and start is not None and end is not None  # noqa: S101 - it was set off
-        is_there = False
+        start, end, is_there = self._leg_start, self._leg_end, False
+        assert start is not None and end is not None  # noqa: S101 - it was set off
 
         async def passes() -> None:
             nonlocal is_there
@@ -191,15 +195,7 @@ class Legs:
         waits: list[Coroutine[Any, Any, Any]] = [one_answered(answers)] if answers else []
         if position != end and distance_m(start, end) > _SHORT_M:
             waits.append(passes())
-        try:
-            await first(asyncio.wait([leg]), *waits)
-        except asyncio.CancelledError:
-            await self.end()
-            raise
-        if leg.done():
-            await self.arrive()
-            is_there = True
-        return is_there
+        return await self._ends_before(*waits) or is_there
 
     async def _passed(self, spot: Position, *, start: Position, end: Position) -> None:
         """Return when the vehicle, sure of its position, has passed the spot from `start` to `end`."""

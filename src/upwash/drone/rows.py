@@ -18,7 +18,6 @@ each leg ends at rest, and the drone leaves a waypoint as the mission says.
 from __future__ import annotations
 
 import asyncio
-import itertools
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
 from functools import partial
@@ -42,26 +41,8 @@ _IN_TIME = 2  # open answers, at most, of a drone whose answers come before the 
 class Rows(Several):
     """Flies a plan of rows."""
 
-    _end: Position | None = field(default=None, init=False)  # of the leg that is flown
     _leg_m_s: float | None = field(default=None, init=False)
-    _last: Waypoint | None = field(default=None, init=False)  # that the mission flew to
-    # Where the last leg ends, if nothing else was flown since.
-    _left_at: Position | None = field(default=None, init=False)
     _rest: Position | None = field(default=None, init=False)  # on the row, as demands are frequent there
-
-    def __post_init__(self) -> None:
-        """Knows which waypoint follows another."""
-        self._following = dict(itertools.pairwise(self.legs.site.waypoints))
-
-    @property
-    def flies(self) -> bool:
-        """Whether the drone is on a leg."""
-        return self._end is not None
-
-    @property
-    def following(self) -> Waypoint | None:
-        """The waypoint after the last one."""
-        return self._following.get(self._last) if self._last else None
 
     def goto(self, place: Place, *, unless: Demand[Any] | None = None) -> bool:
         """Fly to a place, or on along a row until it is passed; with `unless` from rest to rest."""
@@ -102,29 +83,6 @@ class Rows(Several):
         for via in site.leaving if site.waypoints or site.ending == "land" else ():
             fly_on = partial(self.legs.fly_on, via.position, self._open)
             self._fly_to(via, fly_on, partial(self.legs.head_for, via.position))
-
-    def stop(self) -> None:
-        """Brake, if a leg is flown."""
-        if self._end is not None:
-            self._end = self._left_at = None
-            self.thread.call(self.legs.stop())
-
-    def rest(self) -> None:
-        """Brake, and come back to the last place."""
-        if self._end is not None and not self._acts:
-            self.stop()
-            self.return_to(self.legs.place)
-
-    def return_to(self, place: Place | None) -> None:
-        """Come back to the place where the drone was before it met demands."""
-        if place is not None:
-            self.fly(place, back=True)
-            self._left_at = position_of(place)
-
-    def meet(self, demanding: list[AnswerAction[Any]], onwards: Onwards | None = None) -> Place | None:
-        """As in general; the drone leaves its row."""
-        self._left_at = None
-        return super().meet(demanding, onwards)
 
     def _fly_over(self, place: Place) -> bool:
         """Fly to the places without a photo on the way to a waypoint from the one before; False if there are none."""

@@ -125,7 +125,7 @@ class Settling:
                     return True
             if late is None:
                 unless.note()  # before it brakes: who takes the vehicle then has it with this left undone
-            elif late.demands() and self._is_put_off(late, _on_the_leg(place)):
+            elif late.demands() and self._is_put_off(late, Onwards.straight_to(place, rests=False)):
                 self.thread.call(legs.arrive())
                 return True
         except BaseException:
@@ -148,8 +148,3 @@ class Settling:
 
     def _note(self, event: schema.Event) -> None:
         self.thread.post(lambda: self.journal.record(event))
-
-
-def _on_the_leg(place: Place) -> Onwards:
-    end = position_of(place)
-    return Onwards(place, end, end, rests=False)

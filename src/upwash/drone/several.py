@@ -11,6 +11,7 @@ a server's   The drone waits for it where it comes soon, and leaves it open else
 from __future__ import annotations
 
 import asyncio
+import itertools
 from collections.abc import Coroutine, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -43,29 +44,36 @@ class Several(Settling):
     _open: list[AnswerAction[Any]] = field(default_factory=list, init=False)
     _stays: bool = field(default=False, init=False)  # at rest, until its answer is there
     _acts: bool = field(default=False, init=False)
+    _end: Position | None = field(default=None, init=False)  # of the leg that is flown
+    _last: Waypoint | None = field(default=None, init=False)  # that the mission flew to
+    # Where the last leg ends, if nothing else was flown since.
+    _left_at: Position | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        """Knows which waypoint follows another."""
+        self._following = dict(itertools.pairwise(self.legs.site.waypoints))
 
     @property
     def rests(self) -> bool:
         """Whether the drone stops at each waypoint."""
         return self.config.mission.photos is None
 
-    @property
-    def flies(self) -> bool:
-        """Whether the drone is on a leg."""
-        raise NotImplementedError
-
-    @property
-    def following(self) -> Waypoint | None:
-        """The waypoint after the last one."""
-        raise NotImplementedError
-
     def stop(self) -> None:
         """Brake, if a leg is flown."""
-        raise NotImplementedError
+        if self._end is not None:
+            self._end = self._left_at = None
+            self.thread.call(self.legs.stop())
 
-    def return_to(self, place: Place | None) -> None:
-        """Come back to the place where the drone was before it met demands."""
-        raise NotImplementedError
+    def rest(self) -> None:
+        """Brake, and come back to the last place."""
+        if self._end is not None and not self._acts:
+            self.stop()
+            self._return_to(self.legs.place)
+
+    def _return_to(self, place: Place | None) -> None:
+        if place is not None:
+            self.fly(place, back=True)
+            self._left_at = position_of(place)
 
     def fly(self, place: Place, *, back: bool = False) -> None:
         """Fly from rest to rest, `back` along the way of the plan."""
@@ -110,7 +118,7 @@ class Several(Settling):
         self.thread.require_turn()
         if self._acts:
             return
-        here, was_away, sought = self.legs.place, self.flies, set[str]()
+        here, was_away, sought = self.legs.place, self._end is not None, set[str]()
         self.stop()
         if due := self.late.all():
             self._open += due
@@ -122,7 +130,7 @@ class Several(Settling):
             if demanding := self._taken():
                 was_away = self.meet(demanding) is not None
         if was_away and comes_back:
-            self.return_to(here)
+            self._return_to(here)
 
     def seek_answers(self) -> None:
         """Before the way home, fly to a place where servers answer waiting calls, if the detour pays."""
@@ -158,7 +166,7 @@ class Several(Settling):
 
         Where it is known what follows, some of those that come are put off, and some that were put off are met too.
         """
-        acted, self._acts = self._acts, True
+        acted, self._acts, self._left_at = self._acts, True, None
         try:
             while demanding:
                 here, (answer, *demanding) = self.legs.position, demanding
@@ -227,9 +235,10 @@ class Several(Settling):
         A place off the leg, as in doubt of the position, is not come back to.
         """
         here, was_away, sought = self.legs.position, False, set[str]()
+        following = self._following.get(self._last) if self._last else None
         is_on_way = bool(self.legs.site.way) and (self._acts or self.legs.passes(here))
         while self.unheard >= count:
-            if self._seeks(sought, following=self.following):
+            if self._seeks(sought, following=following):
                 was_away, count = True, 1  # there it waits for all
             else:
                 was_away |= self._take_next()

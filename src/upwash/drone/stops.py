@@ -88,10 +88,8 @@ class Stops(Settling):
         if not (answer.is_away and answer.demands()):
             answer.finish(waited_s)
             return
-        if puts_off and here is not None:
-            end = position_of(here)
-            if self._is_put_off(answer, Onwards(here, end, end)):
-                return
+        if puts_off and here and self._is_put_off(answer, Onwards.straight_to(here, rests=True)):
+            return
         self.come_back(answer, waited_s)
         if here is not None:
             self.fly(here)
@@ -122,9 +120,8 @@ class Stops(Settling):
         """As in general; False after acts on objects that the answer shows."""
         if late is not None and late.only_tells:
             late.finish(0.0)
-        end = position_of(place)
-        due = [] if self._acts else self._owed_now(Onwards(place, end, end, rests=False))
-        self.thread.call(self.legs.stop_short_of(end) if due else self.legs.arrive())
+        due = [] if self._acts else self._owed_now(Onwards.straight_to(place, rests=False))
+        self.thread.call(self.legs.stop_short_of(position_of(place)) if due else self.legs.arrive())
         self._act(due)
         return not due
 
