@@ -18,7 +18,7 @@ from tests.surveys import transects, written
 from upwash import Drone
 from upwash.config import DroneConfig, FaultConfig, read_drone_config, waypoints
 from upwash.core.geo import Position
-from upwash.drone.rows import is_missed, nearest_on
+from upwash.drone.places import is_missed, nearest_on
 from upwash.eventlog import schema
 from upwash.lab.observer import Observation
 from upwash.lab.run import Run, simulate_fleet

@@ -6,14 +6,17 @@ import asyncio
 import gc
 import threading
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from tests.drone.test_resume import fly, scenario
 
 from upwash import Drone, Position
+from upwash.drone.answered_photos import AnsweredPhotos
+from upwash.drone.calls import Calls
 from upwash.drone.mission import MissionThread
-from upwash.drone.pending import Calls, why_failed
+from upwash.drone.pending import why_failed
 from upwash.errors import InstanceError, MissionFailed, UsageError
 from upwash.eventlog import schema
 from upwash.rpc.service import make_stub
@@ -235,7 +238,8 @@ def test_calls_that_fail_and_are_never_asked_for_are_no_complaint_of_asyncio(
     async def run() -> None:
         thread, journal = MissionThread(), MemoryJournal()
         journal.begin()
-        calls = Calls(thread, fail, journal, waypoint=lambda: None)
+        offloading: Any = SimpleNamespace(invoke=fail, server_calls=None)
+        calls = Calls(thread, offloading, journal, waypoint=lambda: None, photos=AnsweredPhotos())
         detector = make_stub(Detector, lambda *_: None)
 
         def program() -> None:

@@ -12,13 +12,17 @@ import pytest
 from upwash.core.geo import Position, Waypoint
 from upwash.core.planning.acts import Acts, cheapest
 from upwash.core.planning.legs import Pace
+from upwash.core.planning.stay_or_go import StayRule
 from upwash.core.selection import events
 from upwash.core.vehicle.geofence import Fence, Polygon
 from upwash.core.vehicle.way_home import EnergyFacts
 from upwash.drone.homecoming import Homecoming
 from upwash.drone.late_acts import LateActs
+from upwash.drone.legs import Legs
+from upwash.drone.objects import FlightObjects
 from upwash.drone.site import Site
-from upwash.drone.vehicle import Vehicle, VehicleHandle
+from upwash.drone.stops import Stops
+from upwash.drone.vehicle import Vehicle
 from upwash.errors import AutopilotRefused
 from upwash.ports import VehicleLimits
 from upwash.sim.loop import run_virtually
@@ -52,23 +56,34 @@ class Field:
         }
         this: Any = self
         journal: Any = SimpleNamespace(record=self.log.append)
+        self.legs = Legs(this, journal, site=Site(**(facts | site)), tell=self.told.append, default_m_s=4.0)
+        late = LateActs(
+            this,
+            journal,
+            plan=(),
+            acts=Acts((), ground_speed_m_s=4.0, pace=Pace(), photo_s=0.0, home_s=None),
+            when_to_act=cheapest,
+            within_s=math.inf,
+            home_s=lambda _: 0.0,
+            spare_s=lambda: None,
+        )
+        self.settling = Stops(
+            legs=self.legs,
+            thread=this,
+            journal=journal,
+            late=late,
+            rule=StayRule("stay"),
+            objects=FlightObjects(),
+            outlook=lambda: None,
+        )
         self.vehicle = Vehicle(
             this,
             this,
             journal,
-            site=Site(**(facts | site)),
+            legs=self.legs,
+            settling=self.settling,
             homecoming=Homecoming(this, journal),
             tell=self.told.append,
-            late=LateActs(
-                this,
-                journal,
-                plan=(),
-                acts=Acts((), ground_speed_m_s=4.0, pace=Pace(), photo_s=0.0, home_s=None),
-                when_to_act=cheapest,
-                within_s=math.inf,
-                home_s=lambda _: 0.0,
-                spare_s=lambda: None,
-            ),
         )
 
     def require_turn(self) -> None:
@@ -91,7 +106,7 @@ class Field:
 
     async def goto(self, position: Position) -> None:
         self.done.append(f"goto {position.east_m:g} {position.north_m:g} {position.altitude_m:g}")
-        assert self.vehicle.on_a_leg or self.vehicle._found_flying
+        assert self.vehicle.on_a_leg or self.legs.found_flying
         self.position = position
 
     def __getattr__(self, name: str) -> Any:
@@ -180,7 +195,7 @@ def test_a_leg_sets_its_speed_once_and_holds_at_its_end() -> None:
     )
     assert (ended.kind, ended.waypoint, ended.east_m, ended.hold_s) == ("arrived", 3, 40.0, 5.0)
     assert (field.took_s, field.vehicle.on_a_leg, field.vehicle.waypoint) == (5.0, False, 3)
-    assert VehicleHandle(field.vehicle).fly(waypoint, back=True)
+    field.settling.fly(waypoint, back=True)
     assert field.done[2:] == ["goto 40 0 20"], "it flies at that speed already"
     assert (field.log[-2].back, field.log[-1].hold_s, field.took_s) == (True, 0.0, 0.0)
     assert field.told[2] == events.LegBegun(NEAR, 2.5, back=True)
@@ -215,7 +230,7 @@ def test_verbs_without_a_leg_tell_the_core_and_the_log() -> None:
 def test_a_vehicle_that_was_found_flying_is_neither_armed_nor_sunk() -> None:
     field = Field(FENCED, waypoints=[Waypoint(0, Position(0.0, 40.0, 20.0))])
     field.position = Position(0.0, 40.0, 15.0)
-    VehicleHandle(field.vehicle).take_up()
+    field.legs.take_up()
     assert (field.vehicle.in_the_air, field.told) == (True, [events.MissionBegun(field.energy)])
     field.vehicle.arm()
     field.vehicle.takeoff(15.0)

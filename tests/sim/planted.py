@@ -51,10 +51,13 @@ from upwash.core.selection.hedging import Hedging
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import Probing, Recovery, ServerFailures
 from upwash.drone import flight, server_session
+from upwash.drone.answers import AnswerAction
 from upwash.drone.looks import Looks
 from upwash.drone.offloading import Offloading
-from upwash.drone.pending import AnswerAction, position_of
+from upwash.drone.places import position_of
 from upwash.drone.server_session import ServerSession
+from upwash.drone.settling import Settling
+from upwash.drone.stops import Stops
 from upwash.errors import GarbledReply, LinkError, Refused, ServerFull
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
@@ -237,22 +240,22 @@ def asks_without_pause(raise_if_full: Any, self: ServerSession, reply: Any) -> N
         raise
 
 
-@planted("what an answer demands is done wherever the drone is", AnswerAction, "come_back")
-def acts_on_the_spot(original: Any, self: AnswerAction[Any], waited_s: float) -> None:
-    self.finish(waited_s)
+@planted("what an answer demands is done wherever the drone is", Settling, "come_back")
+def acts_on_the_spot(original: Any, self: Settling, answer: AnswerAction[Any], waited_s: float = 0.0) -> None:
+    answer.finish(waited_s)
 
 
 @planted("an answer that comes after the waypoint is not acted upon", AnswerAction, "finish")
 def forgets_what_is_late(finish: Any, self: AnswerAction[Any], waited_s: float) -> None:
     if self.is_away:
-        self.demand._holds = False
+        self._holds = False
     finish(self, waited_s)
 
 
 @planted("what an answer demands is done again on arrival", AnswerAction, "finish")
 def acts_twice(finish: Any, self: AnswerAction[Any], waited_s: float) -> None:
     finish(self, waited_s)
-    if self.is_away and self.demand.holds():
+    if self.is_away and self.holds():
         finish(self, waited_s)
 
 
@@ -262,11 +265,13 @@ def last_waypoint_goes(decide: Any, self: StayRule, outlook: Outlook | None) -> 
     return replace(verdict, goes=True) if self.manner == "go" else verdict
 
 
-@planted("two waypoints may be left before the answer is there", AnswerAction, "fly_on")
-def leaves_two_waypoints(fly_on: Any, self: AnswerAction[Any], place: Waypoint | Position) -> None:
-    fly_on(self, place)
-    if not self.is_over:
-        self._vehicle.fly(Position(position_of(place).east_m + 30.0, 0.0, position_of(place).altitude_m))
+@planted("two waypoints may be left before the answer is there", Stops, "fly_on")
+def leaves_two_waypoints(
+    fly_on: Any, self: Stops, answer: AnswerAction[Any], place: Waypoint | Position
+) -> None:
+    fly_on(self, answer, place)
+    if not answer.is_over:
+        self.fly(Position(position_of(place).east_m + 30.0, 0.0, position_of(place).altitude_m))
 
 
 @planted("a waypoint counts as done before its answer is there", call_promises, "waypoints_done")

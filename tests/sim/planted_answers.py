@@ -8,8 +8,10 @@ from typing import Any
 from tests.sim.planting import plant, planted
 
 from upwash.core.call.call import Call
+from upwash.drone.answers import AnswerAction
 from upwash.drone.offloading import Offloading
-from upwash.drone.pending import AnswerAction, Demand
+from upwash.drone.pending import Demand
+from upwash.drone.settling import Settling
 
 plant(
     "a better answer counts after its deadline",
@@ -32,15 +34,15 @@ def judges_once(holds: Any, self: Demand[Any]) -> bool:
 
 @planted("the demand of each of two answers is met", AnswerAction, "finish")
 def acts_on_both(finish: Any, self: AnswerAction[Any], waited_s: float) -> None:
-    was_open = not self.pending.done()
+    was_open = not self.call.is_over
     finish(self, waited_s)
     if was_open:
-        self._act(self.pending._answer())
+        self._act(self.call.answer_of(self.call.reply))
 
 
-@planted("a waypoint is done with its first answer", AnswerAction, "hear")
-def takes_the_first(hear: Any, self: AnswerAction[Any]) -> bool:
-    is_over: bool = hear(self)
+@planted("a waypoint is done with its first answer", Settling, "hear")
+def takes_the_first(hear: Any, self: Settling, answer: AnswerAction[Any]) -> bool:
+    is_over: bool = hear(self, answer)
     if not is_over:
-        self.pending._take(0.0)
+        answer.call.take(0.0)
     return is_over

@@ -12,11 +12,13 @@ from tests.sim.planting import Planting, plant, planted, planting
 
 from upwash.core.geo import Position
 from upwash.drone.answered_photos import AnsweredPhotos, NumberedPhoto
+from upwash.drone.answers import AnswerAction
 from upwash.drone.mission import MissionThread
 from upwash.drone.object_acts import ObjectAct
 from upwash.drone.objects import FlightObjects
-from upwash.drone.pending import AnswerAction
-from upwash.drone.vehicle import Vehicle
+from upwash.drone.settling import Settling
+from upwash.drone.several import Several
+from upwash.drone.stops import Stops
 
 plant("each finding of an object has an act", FlightObjects, "_is_claimed", lambda *_, **__: False)
 
@@ -47,23 +49,27 @@ def placed_by_the_last_photo() -> Planting:
 
 @planting("the user gets all answers at the end of the way")
 def told_late() -> Planting:
-    have_told, settle = AnswerAction._have_told, Vehicle._settle
+    have_told = AnswerAction._have_told
     untold: list[tuple[MissionThread, Callable[[], None]]] = []
 
     def kept(self: AnswerAction[Any], do: Callable[[], object]) -> None:
         if self.only_tells:
-            untold.append((self._calls._thread, partial(have_told, self, do)))
+            untold.append((self.call.thread, partial(have_told, self, do)))
         else:
             have_told(self, do)
 
-    def all_told(self: Vehicle, **how: Any) -> None:
-        settle(self, **how)
-        own = [told for told in untold if told[0] is self._thread]
-        untold[:] = [told for told in untold if told not in own]
-        for _, do in own:
-            do()
+    def telling_all(settle: Any) -> Any:
+        def all_told(self: Settling, **how: Any) -> None:
+            settle(self, **how)
+            own = [told for told in untold if told[0] is self.thread]
+            untold[:] = [told for told in untold if told not in own]
+            for _, do in own:
+                do()
+
+        return all_told
 
     planted = contextlib.ExitStack()
     planted.enter_context(patch.object(AnswerAction, "_have_told", kept))
-    planted.enter_context(patch.object(Vehicle, "_settle", all_told))
+    for kind in (Stops, Several):
+        planted.enter_context(patch.object(kind, "settle", telling_all(kind.settle)))
     return planted

@@ -22,23 +22,24 @@ from upwash.core.planning.demand_map import DemandMap
 from upwash.core.selection.call_placement import CallPlacement
 from upwash.core.selection.lanes import Lanes
 from upwash.drone import legs
+from upwash.drone.answers import AnswerAction
 from upwash.drone.late_acts import LateActs
 from upwash.drone.legs import Legs
-from upwash.drone.pending import AnswerAction
-from upwash.drone.rows import Rows, ahead_m
+from upwash.drone.places import ahead_m
 from upwash.drone.seeking import Seeking
+from upwash.drone.several import Several
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.faults import call_promises
 from upwash.sim.autopilot import ModelAutopilot
 
 
-@planted("on a row an action is done where the drone is", AnswerAction, "come_back")
-def acts_on_the_row(come_back: Any, self: AnswerAction[Any], waited_s: float) -> None:
-    if self._vehicle.flies_rows:
-        self.finish(waited_s)
+@planted("on a row an action is done where the drone is", Several, "come_back")
+def acts_on_the_row(come_back: Any, self: Several, answer: AnswerAction[Any], waited_s: float = 0.0) -> None:
+    if self.rests:
+        come_back(self, answer, waited_s)
     else:
-        come_back(self, waited_s)
+        answer.finish(waited_s)
 
 
 @planted("the map of demands does not count answers that demand nothing", DemandMap, "note")
@@ -47,20 +48,20 @@ def counts_demands_only(note: Any, self: DemandMap, position: Position, *, deman
         note(self, position, demanded=demanded)
 
 
-@planted("of several demands on a row one is met", Rows, "_meet")
-def meets_one(meet: Any, self: Rows, demanding: list[AnswerAction[Any]], *about: Any) -> Any:
+@planted("of several demands on a row one is met", Several, "meet")
+def meets_one(meet: Any, self: Several, demanding: list[AnswerAction[Any]], *about: Any) -> Any:
     for answer in demanding[1:]:
         self._open.remove(answer)
     return meet(self, demanding[:1], *about)
 
 
-@planted("an answer is taken twice on a row", Rows, "_taken")
-def takes_twice(taken: Any, self: Rows, waited_s: float = 0.0, **about: Any) -> Any:
-    before = [answer for answer in self._open if answer.pending.done()]
+@planted("an answer is taken twice on a row", Several, "_taken")
+def takes_twice(taken: Any, self: Several, waited_s: float = 0.0, **about: Any) -> Any:
+    before = [answer for answer in self._open if answer.call.is_over]
     demanding = taken(self, waited_s, **about)
     for answer in before:
-        answer.demand._holds = None
-        answer.demand.holds()
+        answer._holds = None
+        answer.holds()
     return demanding
 
 
@@ -82,7 +83,7 @@ def counts_in_doubt() -> Planting:
 
 plant(
     "the number of open photos has no bound",
-    Rows,
+    Several,
     "leave_open",
     lambda self, answer: self._open.append(answer),
 )
@@ -119,8 +120,8 @@ def nothing_is_urgent(make: Any, self: Calls, call: Call) -> None:
     make(self, call)
 
 
-@planted("the drone sets off for home with open answers", Rows, "settle")
-def leaves_answers_open(settle: Any, self: Rows, *, comes_back: bool = True) -> None:
+@planted("the drone sets off for home with open answers", Several, "settle")
+def leaves_answers_open(settle: Any, self: Several, *, comes_back: bool = True) -> None:
     if comes_back:
         settle(self)
     else:

@@ -37,9 +37,8 @@ class AnsweredPhotos:
         self._last: NumberedPhoto | None = None
         self._in_hand: NumberedPhoto | None = None
         self._by_hash: dict[int, NumberedPhoto] = {}
-        self._of_objects: dict[
-            int, tuple[object, NumberedPhoto]
-        ] = {}  # by id; held, so that the id stays theirs
+        # By id. The objects are held, so that the id stays theirs.
+        self._of_objects: dict[int, tuple[object, NumberedPhoto]] = {}
 
     def take(self, jpeg: bytes, geometry: PhotoGeometry | None) -> None:
         """Note that a photo was taken."""

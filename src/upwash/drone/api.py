@@ -6,19 +6,21 @@ import math
 from collections.abc import Callable
 from typing import Any, Final, ParamSpec, TypeVar
 
-from upwash.config import SecondLook
+from upwash.config import DroneConfig, SecondLook, ending
 from upwash.core.geo import GeoPosition, LocalFrame, Position, Waypoint
 from upwash.core.operation import Operation
 from upwash.drone.answered_photos import AnsweredPhotos
+from upwash.drone.calls import Calls
 from upwash.drone.mission import MissionThread
-from upwash.drone.object_acts import ObjectActs
+from upwash.drone.object_acts import ObjectAnswer
 from upwash.drone.objects import FoundObject
 from upwash.drone.payload import Payload
-from upwash.drone.pending import AnswerActions, Calls, Pending, position_of
+from upwash.drone.pending import Pending
 from upwash.drone.photographer import Photographer
+from upwash.drone.places import position_of
+from upwash.drone.settling import Settling
 from upwash.drone.vehicle import Vehicle
 from upwash.errors import UsageError
-from upwash.plans import Ending
 from upwash.ports import Notifier
 from upwash.rpc.service import Method, Patience, make_stub, spec_of
 
@@ -66,50 +68,39 @@ class Drone:
 
     def __init__(
         self,
+        config: DroneConfig,
         *,
         plan: tuple[Waypoint, ...],
-        altitude_m: float,
-        ending: Ending,
         autopilot: Vehicle,
         camera: Photographer,
         payload: Payload,
         user: User,
-        home: GeoPosition | None,
-        services: frozenset[str],
         calls: Calls,
-        answers: AnswerActions,
-        objects: ObjectActs,
-        settle: Callable[[], None],
-        leave: Callable[[], None],
-        action_s: float = 0.0,
-        on_rows: bool = False,
-        second_look: SecondLook | None = None,
+        settling: Settling,
     ) -> None:
+        mission = config.mission
         self.plan = plan
-        self.altitude_m = altitude_m
+        self.altitude_m = mission.altitude_m
+        self.action_s = mission.action_s
+        self.on_rows = mission.photos is not None
+        self.second_look = mission.second_look
+        self.home = mission.home.place if mission.home else None
         self.autopilot = autopilot
         self.camera = camera
         self.payload = payload
         self.user = user
-        self.home = home
-        self._ending = ending
-        self._services = services
-        self.action_s = action_s
-        self.on_rows = on_rows
-        self.second_look = second_look
-        self._objects = objects
+        self._lands = ending(mission) == "land"
+        self._services = frozenset(service.name for service in config.services)
         self._calls = calls
-        self._answers = answers
-        self._settle = settle  # the answer that is open
-        self._leave = leave
+        self._settling = settling
 
     def end_flight(self) -> None:
         """Ends the flight as the plan says: lands where the vehicle is, or returns home and lands.
 
         With `mission.photos` and a plan it first flies to the plan's waypoints after the last photo.
         """
-        self._leave()
-        if self._ending == "land":
+        self._settling.leave()
+        if self._lands:
             self.autopilot.land()
         else:
             self.autopilot.return_home_and_land()
@@ -160,7 +151,7 @@ class Drone:
         Raises UsageError while another call is pending. If `stay_or_go` left an answer open, first waits for it and
         acts. With rows (`mission.photos`) neither holds: several calls are open at once.
         """
-        self._settle()
+        self._settling.settle_for_call()
         return self._calls.start(call, *args, **kwargs)
 
     def stay_or_go(
@@ -179,7 +170,7 @@ class Drone:
         once, at any place. If the call raises an exception, `failed` gets it at this waypoint; without `failed`, the
         method that waits raises it there. On a row of `mission.photos` the mission goes on over many waypoints.
         """
-        self._answers.run(pending.demands(demands), act, failed)
+        self._settling.take_up(self._settling.action(pending.call, demands, act, failed))
 
     def when_answered(
         self,
@@ -194,7 +185,7 @@ class Drone:
         last answer. Of two answers the last counts. If the call raises an exception, `failed` gets the exception;
         without `failed` that verb raises it. `tell` and `failed` may only notify: other verbs raise UsageError.
         """
-        self._answers.tell(pending, tell, failed)
+        self._settling.leave_open(self._settling.action(pending.call, None, tell, failed))
 
     def act_once(
         self,
@@ -213,8 +204,9 @@ class Drone:
         `when_answered`. Findings of an answer that have no place have one act together, where their photo was taken.
         An object whose way a fence forbids is left out.
         """
-        self._answers.take_up(self._objects.answer(pending, act, wanted=wanted, tell=tell, failed=failed))
+        answer = ObjectAnswer(self._settling, pending.call, act, wanted=wanted, tell=tell, failed=failed)
+        self._settling.take_up(answer)
 
     def _call(self, operation: Operation, method: Method, request: bytes) -> Any:
-        self._settle()
+        self._settling.settle_for_call()
         return self._calls.call(operation, method, request)

@@ -18,33 +18,32 @@ from upwash.config import (
     ending,
     geofence,
     leaving,
-    pace_in_numbers,
     planned_way,
     server_areas,
-    told_pace,
 )
 from upwash.core.camera.georeference import Ground, level_ground
 from upwash.core.geo import Circle, Position, rounded
 from upwash.core.planning.acts import Acts
-from upwash.core.planning.legs import Pace
 from upwash.core.planning.order import Order
 from upwash.core.planning.stay_or_go import StayRule
 from upwash.core.policies.policy import Policy
 from upwash.core.selection.selection import Selection
 from upwash.core.vehicle.control import Control
 from upwash.drone.answered_photos import AnsweredPhotos
+from upwash.drone.answers import AnswerAction
 from upwash.drone.api import Drone, Mission, User
+from upwash.drone.calls import Calls
 from upwash.drone.coming_down import end_safely, follow
 from upwash.drone.deadlines import require_deadlines
 from upwash.drone.home import planned_home
 from upwash.drone.homecoming import Homecoming
 from upwash.drone.late_acts import LateActs
+from upwash.drone.legs import Legs
 from upwash.drone.mission import MissionThread, mission_failed
-from upwash.drone.object_acts import ObjectActs
 from upwash.drone.objects import FlightObjects
 from upwash.drone.payload import Payload
-from upwash.drone.pending import AnswerAction, AnswerActions, Calls
 from upwash.drone.photographer import Photographer
+from upwash.drone.places import index_of
 from upwash.drone.preparation import (
     CallPorts,
     make_offloading,
@@ -55,11 +54,13 @@ from upwash.drone.preparation import (
     unkept_deadlines,
 )
 from upwash.drone.reserve import ReserveWatch
-from upwash.drone.rows import RowRules
+from upwash.drone.rows import Rows
 from upwash.drone.seeking import Seeking
+from upwash.drone.settling import Settling
 from upwash.drone.site import Site
 from upwash.drone.sparing import AMPLE, Sparing, SparingAlbum, SparingDialer
-from upwash.drone.vehicle import Vehicle, VehicleHandle
+from upwash.drone.stops import Stops
+from upwash.drone.vehicle import Vehicle
 from upwash.errors import (
     AutopilotError,
     AutopilotOverruled,
@@ -160,43 +161,29 @@ class Flight:
         self._promised = require_deadlines(config, specs, selection.estimates, self._plan)
         self.coverage = selection.estimates.coverage  # what is known of servers without a range
         self.demand_map = demand_map_of(config, self._plan)
-        self._stay_rule = StayRule(config.policy.stay_or_go, self.demand_map)
         self._before_sending = parts_before_sending(config, specs, parts, ports)
         self._offloading = make_offloading(
             config, specs, selection, ports, self._onboard, before_sending=self._before_sending
         )
         self._homecoming = Homecoming(ports.autopilot, ports.journal)
-        self._watch = self._reserve_watch()
-        self._vehicle = Vehicle(
+        self._legs = Legs(
             ports.autopilot,
-            self._thread,
             ports.journal,
-            site=Site(
-                waypoints=self._plan,
-                fences=geofence(config.mission),
-                farthest_start_m=config.autopilot.farthest_start_m,
-                takeoff_m=config.mission.altitude_m,
-                ending=ending(config.mission),
-                leaving=leaving(config.mission),
-                way=planned_way(config.mission),
-                home=planned_home(config.mission),
-            ),
-            homecoming=self._homecoming,
+            site=self._site(),
             tell=self._offloading.tell,
-            late=self._late_acts(),
-            rows=self._row_rules(specs, selection),
+            default_m_s=config.mission.ground_speed_m_s,
         )
-        self._handle = VehicleHandle(self._vehicle)
+        self._watch = ReserveWatch(
+            config, ports.autopilot, ports.journal, legs=self._legs, homecoming=self._homecoming
+        )
         self._photos = AnsweredPhotos()
-        self._objects = objects or FlightObjects()
+        self._settling = self._settles(specs, selection, objects or FlightObjects())
         self._calls = Calls(
             self._thread,
-            self._offloading.invoke,
+            self._offloading,
             ports.journal,
+            waypoint=lambda: index_of(self._legs.place),
             photos=self._photos,
-            objects=self._objects,
-            waypoint=lambda: self._vehicle.waypoint,
-            several=self._offloading.server_calls is not None,
         )
 
     async def run(self) -> None:
@@ -239,72 +226,71 @@ class Flight:
         self._ports.journal.record(how)
         self.has_ended = True
 
-    def _row_rules(self, specs: Mapping[str, ServiceSpec], selection: Selection) -> RowRules | None:
-        """How the drone flies with several answers open; None if it makes one call at a time."""
-        config, autopilot, photos = self._config, self._ports.autopilot, self._config.mission.photos
-        calls = self._offloading.server_calls
-        if calls is None:
-            return None
-        returns = ending(config.mission) == "return"
-        seeking = Seeking(
-            calls,
-            self._ports.journal,
-            selection=selection,
-            believed=self._offloading.believed,
-            where_to_wait=self._offloading.where_to_wait,
-            areas={
-                name: area
-                for name, area in server_areas(config).items()
-                if isinstance(area, Circle) and config.policy.name != "local-only"
-            },
-            plan=self._plan,
-            home=lambda: autopilot.energy.returns_to(autopilot.position).position if returns else None,
-            home_s=self._home_s,
-            ground_speed_m_s=config.mission.ground_speed_m_s,
-            pace=self._pace,
-            gain_switch=config.policy.gain_switch,
-            detour_s=config.policy.detour_s,
-            spare_s=self._watch.spare_s,
+    def _site(self) -> Site:
+        mission = self._config.mission
+        return Site(
+            waypoints=self._plan,
+            fences=geofence(mission),
+            farthest_start_m=self._config.autopilot.farthest_start_m,
+            takeoff_m=mission.altitude_m,
+            ending=ending(mission),
+            leaving=leaving(mission),
+            way=planned_way(mission),
+            home=planned_home(mission),
         )
-        return RowRules(
-            photos.at_most if photos else len(self._plan) + 1,
-            self._stay_rule,
-            config.mission.ground_speed_m_s,
-            self._pace.acceleration_m_s2,
-            config.camera.photo_s,
-            rests=photos is None,
+
+    def _settles(
+        self, specs: Mapping[str, ServiceSpec], selection: Selection, objects: FlightObjects
+    ) -> Settling:
+        """How the drone settles its answers: at stops if it makes one call at a time."""
+        config, calls = self._config, self._offloading.server_calls
+        about: dict[str, Any] = {
+            "legs": self._legs,
+            "thread": self._thread,
+            "journal": self._ports.journal,
+            "late": self._late_acts(),
+            "rule": StayRule(config.policy.stay_or_go, self.demand_map),
+            "objects": objects,
+            "outlook": self._offloading.outlook,
+        }
+        if calls is None:
+            return Stops(**about)
+        return Rows(
+            **about,
+            config=config,
             servers=None if all(spec.on_drone for spec in specs.values()) else calls,
-            seeking=seeking,
+            seeking=Seeking(
+                config=config,
+                plan=self._plan,
+                calls=calls,
+                selection=selection,
+                offloading=self._offloading,
+                legs=self._legs,
+                reserve=self._watch,
+                journal=self._ports.journal,
+            ),
         )
 
     def _late_acts(self) -> LateActs:
-        config, autopilot = self._config, self._ports.autopilot
+        config, home_s = self._config, self._watch.home_s
         acts = Acts[AnswerAction[Any]](
             self._plan,
             leaving=[via.position for via in leaving(config.mission)],
             ground_speed_m_s=config.mission.ground_speed_m_s,
-            pace=self._pace,
+            pace=self._watch.pace,
             photo_s=config.camera.photo_s,
-            home_s=self._home_s if ending(config.mission) == "return" else None,
+            home_s=home_s if ending(config.mission) == "return" else None,
         )
         return LateActs(
-            autopilot,
-            self._ports.journal,
+            autopilot=self._ports.autopilot,
+            journal=self._ports.journal,
             plan=self._plan,
             acts=acts,
             when_to_act=self._offloading.when_to_act,
             within_s=config.policy.acts_within_s,
-            home_s=self._home_s,
+            home_s=home_s,
             spare_s=self._watch.spare_s,
         )
-
-    @property
-    def _pace(self) -> Pace:
-        return told_pace(self._config.vehicle) or pace_in_numbers(self._config.vehicle)
-
-    def _home_s(self, place: Position) -> float:
-        """The seconds from a place to the ground at home, on average."""
-        return self._pace.home_share * self._ports.autopilot.energy.time_home_s(place)
 
     def _planned(self) -> schema.Planned:
         mission = self._config.mission
@@ -400,7 +386,7 @@ class Flight:
             )
         await autopilot.claim(resumes=self._done is not None, ordered=self._ordered)
         if flies:
-            self._handle.take_up()
+            self._legs.take_up()
         await self._set_dead_man(flies=flies)
 
     async def _set_dead_man(self, *, flies: bool) -> None:
@@ -444,7 +430,7 @@ class Flight:
             async with self._ending_safely():
                 await self._run_mission()
             if not await self._stands_disarmed():
-                where = "in the air" if self._vehicle.in_the_air else "with running motors"
+                where = "in the air" if self._legs.in_the_air else "with running motors"
                 await self._end(f"the mission ended {where}")
         finally:
             await end(watch, sparing)
@@ -452,7 +438,7 @@ class Flight:
     async def _stands_disarmed(self) -> bool:
         """Disarm a vehicle that the mission left armed on the ground; return whether it stands disarmed."""
         autopilot = self._ports.autopilot
-        if self._vehicle.in_the_air or not (autopilot.stands and autopilot.control.is_ours):
+        if self._legs.in_the_air or not (autopilot.stands and autopilot.control.is_ours):
             return False
         if autopilot.armed:
             try:
@@ -473,7 +459,7 @@ class Flight:
         except Exception as error:
             raise mission_failed(error) from error
         finally:
-            await self._handle.end_leg()
+            await self._legs.end()
             await self._calls.close()
         self._require_control()
         if self._stopped is not None:  # though the mission made nothing of it
@@ -483,10 +469,10 @@ class Flight:
         drone = self._drone()
         if self._plan or self._done is None:
             self._mission(drone)
-        elif self._vehicle.in_the_air:
+        elif self._legs.in_the_air:
             drone.end_flight()
             drone.autopilot.disarm()
-        self._handle.settle()
+        self._settling.settle()
 
     def _require_control(self) -> None:
         """Raise AutopilotOverruled if the program has lost the vehicle, in place of any other error."""
@@ -498,7 +484,7 @@ class Flight:
 
     async def _end(self, why: str) -> None:
         autopilot, journal = self._ports.autopilot, self._ports.journal
-        if autopilot.control.is_ours and (self._vehicle.in_the_air or autopilot.armed):
+        if autopilot.control.is_ours and (self._legs.in_the_air or autopilot.armed):
             self._stop_following.clear()
             self._ends_safely = True
             action = self._config.autopilot.on_failure
@@ -506,20 +492,6 @@ class Flight:
         if not autopilot.control.is_ours:
             self._follows = True
             await follow(autopilot, journal, until=self._stop_following)
-
-    def _reserve_watch(self) -> ReserveWatch:
-        def leg_speed_m_s() -> float | None:
-            vehicle, default_m_s = self._vehicle, self._config.mission.ground_speed_m_s
-            return (vehicle.ground_speed_m_s or default_m_s) if vehicle.on_a_leg else None
-
-        return ReserveWatch(
-            self._config,
-            self._ports.autopilot,
-            self._ports.journal,
-            flying=lambda: self._vehicle.in_the_air,
-            leg_speed_m_s=leg_speed_m_s,
-            down_s=lambda: self._homecoming.left_s,
-        )
 
     async def _watch_battery(self) -> None:
         while True:
@@ -542,41 +514,35 @@ class Flight:
             self._end_mission(ReserveReached(why))
 
     def _drone(self) -> Drone:
-        payload = Payload(self._ports.autopilot, self._thread, self._ports.journal)
-        home = self._config.mission.home
+        ports, thread, journal = self._ports, self._thread, self._ports.journal
+        payload = Payload(ports.autopilot, thread, journal)
         return Drone(
+            self._config,
             plan=self._plan,
-            altitude_m=self._config.mission.altitude_m,
-            ending=ending(self._config.mission),
-            autopilot=self._vehicle,
+            autopilot=Vehicle(
+                ports.autopilot,
+                thread,
+                journal,
+                legs=self._legs,
+                settling=self._settling,
+                homecoming=self._homecoming,
+                tell=self._offloading.tell,
+            ),
             camera=Photographer(
-                self._ports.camera,
-                self._thread,
-                self._ports.journal,
-                autopilot=self._ports.autopilot,
+                ports.camera,
+                thread,
+                journal,
+                autopilot=ports.autopilot,
                 payload=payload,
-                ground=self._ports.ground,
-                album=self._ports.album,
+                ground=ports.ground,
+                album=ports.album,
                 photos=self._photos,
-                objects=self._objects,
+                objects=self._settling.objects,
             ),
             payload=payload,
-            home=home.place if home else None,
-            user=User(self._ports.notifier, self._thread, self._photos),
-            services=frozenset(service.name for service in self._config.services),
+            user=User(ports.notifier, thread, self._photos),
             calls=self._calls,
-            settle=self._handle.settle_for_call,
-            leave=self._handle.leave,
-            answers=AnswerActions(
-                self._handle,
-                self._calls,
-                rule=self._stay_rule,
-                outlook=self._offloading.outlook,
-            ),
-            objects=ObjectActs(self._handle, self._calls, self._stay_rule),
-            action_s=self._config.mission.action_s,
-            second_look=self._config.mission.second_look,
-            on_rows=self._config.mission.photos is not None,
+            settling=self._settling,
         )
 
 

@@ -46,9 +46,8 @@ class PlannedHome(Struct, frozen=True):
         """Warnings about the plan's home, for a person before arming."""
         most_m = _STEADY_M if self.counts_from_sea else HOMES_AGREE_M
         if self._apart_m(limits) > most_m:
-            homes = (
-                f"{self.above_sea_m:g} m above the sea, and the vehicle's home {limits.home_above_sea_m:g} m"
-            )
+            own_m, told_m = self.above_sea_m, limits.home_above_sea_m
+            homes = f"{own_m:g} m above the sea, and the vehicle's home {told_m:g} m"
             if self.counts_from_sea:
                 yield f"the plan's altitudes above the sea were converted with a home at {homes}"
             else:
@@ -63,14 +62,11 @@ class PlannedHome(Struct, frozen=True):
         return abs(self.above_sea_m - limits.home_above_sea_m)
 
 
-NO_PLANNED_HOME = PlannedHome()
-
-
 def planned_home(mission: MissionConfig) -> PlannedHome:
-    """The home of the mission's plan; NO_PLANNED_HOME without a plan or a home in it."""
+    """The home of the mission's plan; without a plan, or a home in it, one of which nothing is known."""
     plan = mission.plan.plan if mission.plan is not None else None
     if plan is None or not is_planned_home(mission, plan):
-        return NO_PLANNED_HOME
+        return PlannedHome()
     counts_from_sea = altitudes_above_sea(mission) is not None
     return PlannedHome(
         place=Position(0.0, 0.0) if plan.home is not None else None,
@@ -90,7 +86,14 @@ def above_home(config: DroneConfig, home_above_sea_m: float) -> DroneConfig:
     file, above = config.mission.plan, altitudes_above_sea(config.mission)
     if file is None or above is None:
         return config
-    _require_same_home(file, above, home_above_sea_m)
+    home_m = above.home_above_sea_m
+    if home_m is not None and abs(home_m - home_above_sea_m) > HOMES_AGREE_M:
+        raise AutopilotRefused(
+            "arm",
+            f"{file.file}: item {above.above_sea_level} counts its altitude from the sea; the plan's home is "
+            f"{home_m:g} m above the sea, the vehicle's {home_above_sea_m:g} m (at most {HOMES_AGREE_M:g} m "
+            "apart are allowed): correct the planned home, or give altitudes above home; nothing was sent",
+        )
     waypoints = tuple(_above_home(waypoint, home_above_sea_m) for waypoint in file.plan.waypoints)
     takeoff_m = config.mission.altitude_m
     if above.takeoff_above_sea_m is not None:
@@ -108,23 +111,11 @@ def above_home(config: DroneConfig, home_above_sea_m: float) -> DroneConfig:
     return msgspec.structs.replace(config, mission=mission)
 
 
-def _require_same_home(file: PlanFile, above: FlightPlan, home_above_sea_m: float) -> None:
-    if above.home_above_sea_m is not None and abs(above.home_above_sea_m - home_above_sea_m) > HOMES_AGREE_M:
-        raise AutopilotRefused(
-            "arm",
-            f"{file.file}: item {above.above_sea_level} counts its altitude from the sea; the plan's home is "
-            f"{above.home_above_sea_m:g} m above the sea, the vehicle's {home_above_sea_m:g} m (at most "
-            f"{HOMES_AGREE_M:g} m apart are allowed): correct the planned home, or give altitudes above home; "
-            "nothing was sent",
-        )
-
-
 def _above_home(waypoint: PlannedWaypoint, home_above_sea_m: float) -> PlannedWaypoint:
     if waypoint.above_sea_m is None:
         return waypoint
-    return replace(
-        waypoint, place=replace(waypoint.place, altitude_m=waypoint.above_sea_m - home_above_sea_m)
-    )
+    place = replace(waypoint.place, altitude_m=waypoint.above_sea_m - home_above_sea_m)
+    return replace(waypoint, place=place)
 
 
 def _counted_from_sea(

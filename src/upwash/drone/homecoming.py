@@ -118,13 +118,10 @@ class Homecoming:
             watch.take(self._autopilot.position, self._looked_s)
             if watch.no_nearer_s and self._looked_s - self._told_s >= _TELL_AGAIN_S:
                 self._told_s = self._looked_s
-                self._tell_in_vain(watch)
+                away_m, for_s = round(watch.away_m, 1), round(watch.no_nearer_s, 1)
+                self._journal.record(schema.NoNearer(to=watch.place.name, away_m=away_m, for_s=for_s))
             await asyncio.sleep(_LOOK_S)
         return True
-
-    def _tell_in_vain(self, watch: ReturnWatch) -> None:
-        away_m, for_s = round(watch.away_m, 1), round(watch.no_nearer_s, 1)
-        self._journal.record(schema.NoNearer(to=watch.place.name, away_m=away_m, for_s=for_s))
 
     def _tell_hover(self, watch: ReturnWatch) -> None:
         here, where = rounded(self._autopilot.position), watch.place.name

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias
 
 from upwash.core.geo import Position, Waypoint
 from upwash.core.planning.acts import Acts, LateAct, Way
-from upwash.drone.pending import AnswerAction, Place, position_of
+from upwash.drone.answers import AnswerAction
+from upwash.drone.places import Allows, Place, position_of
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
 
-Allows: TypeAlias = Callable[[Position, Position], bool]  # whether no fence forbids the straight way
 Answer: TypeAlias = AnswerAction[Any]
 
 
@@ -32,7 +33,14 @@ class Onwards(NamedTuple):
     end: Position | None = None
     rests: bool = True
 
+    @classmethod
+    def straight_to(cls, place: Place, *, rests: bool) -> Onwards:
+        """A leg to the place and no farther, which is flown, or over."""
+        end = position_of(place)
+        return cls(place, end, end, rests)
 
+
+@dataclass(eq=False)
 class LateActs:
     """Decides when acts are done, and keeps those that are put off; on the loop.
 
@@ -40,58 +48,49 @@ class LateActs:
     the ground, and `spare_s` the seconds of flight that the reserve leaves; None while these are unknown.
     """
 
-    def __init__(
-        self,
-        autopilot: Autopilot,
-        journal: Journal,
-        *,
-        plan: Sequence[Waypoint],
-        acts: Acts[Answer],
-        when_to_act: Callable[[LateAct], int | None],
-        within_s: float,
-        home_s: Callable[[Position], float],
-        spare_s: Callable[[], float | None],
-    ) -> None:
-        self._autopilot = autopilot
-        self._journal = journal
-        self._plan = plan
-        self._numbers = {waypoint: number for number, waypoint in enumerate(plan)}
-        self._acts = acts
-        self._when_to_act = when_to_act
-        self._within_s = within_s
-        self._home_s = home_s
-        self._spare_s = spare_s
-        self._begin_by_s: dict[Answer, float] = {}
+    autopilot: Autopilot
+    journal: Journal
+    plan: Sequence[Waypoint]
+    acts: Acts[Answer]
+    when_to_act: Callable[[LateAct], int | None]
+    within_s: float
+    home_s: Callable[[Position], float]
+    spare_s: Callable[[], float | None]
+    _begin_by_s: dict[Answer, float] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        """Numbers the waypoints of the plan."""
+        self._numbers = {waypoint: number for number, waypoint in enumerate(self.plan)}
 
     def __bool__(self) -> bool:
         """Whether an act is put off."""
-        return bool(self._acts)
+        return bool(self.acts)
 
     def waits_after(self, place: Place | None) -> bool:
         """Whether an act is put off to the gap after that waypoint."""
-        return isinstance(place, Waypoint) and self._acts.waits_after(self._numbers.get(place, -1))
+        return isinstance(place, Waypoint) and self.acts.waits_after(self._numbers.get(place, -1))
 
     def due_after(self, place: Place | None) -> list[Answer]:
         """Take the acts of the gap after that waypoint, in their order."""
-        return self._acts.due_after(self._numbers.get(place, -1)) if isinstance(place, Waypoint) else []
+        return self.acts.due_after(self._numbers.get(place, -1)) if isinstance(place, Waypoint) else []
 
     def all(self) -> list[Answer]:
         """Take all acts, in the order of the way."""
-        return self._acts.all()
+        return self.acts.all()
 
     async def puts_off(self, answer: Answer, onwards: Onwards, allows: Allows) -> bool:
         """Put the act off if the policy does; return whether it is put off."""
         way, place = self._way(onwards), answer.place
         if way is None or place is None:
             return False
-        self._begin_by_s.setdefault(answer, _time_s() + self._within_s)
+        self._begin_by_s.setdefault(answer, _time_s() + self.within_s)
         within_s = self._left_s(position_of(place), answer)
-        late = self._acts.choice(position_of(place), way, within_s=within_s, allows=allows)
-        if not late.gaps or (chosen := self._when_to_act(late)) is None:
+        late = self.acts.choice(position_of(place), way, within_s=within_s, allows=allows)
+        if not late.gaps or (chosen := self.when_to_act(late)) is None:
             return False
         gap = late.gaps[chosen]
-        self._acts.put_off(answer, position_of(place), gap)
-        self._journal.record(
+        self.acts.put_off(answer, position_of(place), gap)
+        self.journal.record(
             schema.PutOff(
                 waypoint=answer.waypoint,
                 extra_s=round(gap.extra_s, 1),
@@ -108,25 +107,25 @@ class LateActs:
 
         def is_due(answer: Answer, late: LateAct) -> bool:
             is_late = late.gaps[0].in_s > self._left_s(late.place, answer)
-            return is_late or self._when_to_act(late) is None
+            return is_late or self.when_to_act(late) is None
 
-        return [] if way is None else self._acts.take(way, is_due)
+        return [] if way is None else self.acts.take(way, is_due)
 
     def _way(self, onwards: Onwards) -> Way | None:
         """None of a drone off its plan."""
         target, ahead, end, rests = onwards
         number = self._numbers.get(target) if isinstance(target, Waypoint) else None
-        vehicle = self._autopilot
+        vehicle = self.autopilot
         if number is None:
             return None
         return Way(vehicle.position, number, ahead, end, None if rests else vehicle.stopping_place)
 
     def _left_s(self, place: Position, answer: Answer) -> float:
         """The seconds until the act at the place must begin, by its limit and the reserve."""
-        spare_s, left_s = self._spare_s(), self._begin_by_s[answer] - _time_s()
+        spare_s, left_s = self.spare_s(), self._begin_by_s[answer] - _time_s()
         if spare_s is None:
             return left_s
-        return min(left_s, spare_s + self._home_s(self._autopilot.position) - self._home_s(place))
+        return min(left_s, spare_s + self.home_s(self.autopilot.position) - self.home_s(place))
 
 
 def _time_s() -> float:

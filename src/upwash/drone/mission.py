@@ -15,7 +15,7 @@ import traceback
 from collections.abc import Callable, Coroutine, Iterator
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, Protocol, TypeVar, cast, runtime_checkable
+from typing import Any, Protocol, TypeVar, cast
 
 from upwash.errors import MissionFailed, MissionStopped, UpwashError, UsageError
 from upwash.support.background import begin, thread
@@ -51,14 +51,6 @@ class LoopTurn(Protocol):
         """In the mission's thread, last of all: give the turn back to the loop."""
 
 
-@runtime_checkable
-class TurnTaking(Protocol):
-    """An event loop whose clock stands still while a mission's code runs."""
-
-    def mission_turn(self) -> LoopTurn:
-        """The turn of a mission's thread that begins next."""
-
-
 class MissionThread:
     """One mission's thread; create it on the event loop that runs its verbs."""
 
@@ -71,7 +63,8 @@ class MissionThread:
         self._only_messages = False
         self._verb: asyncio.Task[Any] | None = None
         self._ended_verbs: SimpleQueue[asyncio.Task[Any]] = SimpleQueue()
-        self._turn = self._loop.mission_turn() if isinstance(self._loop, TurnTaking) else None
+        # A loop of virtual time gives each mission's thread a turn of its own.
+        self._turn: LoopTurn | None = getattr(self._loop, "mission_turn", lambda: None)()
 
     def call(self, verb: Coroutine[Any, Any, T], *, is_message: bool = False) -> T:
         """Runs a verb on the loop and returns its result.

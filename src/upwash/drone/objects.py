@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import msgspec
 
@@ -66,11 +66,23 @@ class Claim:
     key: Key
 
 
+class ActOnObject(Protocol):
+    """An act on an object, which is over with the answers of the calls that it leaves open."""
+
+    object: int | None  # its number
+
+    def begin_call(self) -> None:
+        """Note that the act has left a call open."""
+
+    def end_call(self, answer: Any, photo: NumberedPhoto | None) -> None:
+        """Take the answer of that call, None if it has failed."""
+
+
 class FlightObjects:
     """Joins the findings of one flight, and knows which objects the mission acts on, or has acted on.
 
     `acted_on` are objects of the same mission before it was resumed, and `last` is the highest of their numbers.
-    `under_way` is the number of the object that has an act now, None between acts.
+    `acting` is the act that is under way, None between acts.
     """
 
     def __init__(self, acted_on: Sequence[FoundRecord] = (), *, last: int = 0) -> None:
@@ -80,13 +92,18 @@ class FlightObjects:
         self._claimed = set[Key]()
         self._keys = itertools.count()
         self._numbers = itertools.count(last + 1)
-        self.under_way: int | None = None
+        self.acting: ActOnObject | None = None
         for photo, record in enumerate(acted_on, start=1):
             if (place := _place_of(record)) is not None:
                 outline = Outline(0.0, 0.0, 0.0, 0.0, record.label, record.score)
                 finding = Finding((-photo, next(self._keys)), outline, place, place.position)
                 self._join(-photo, [finding], None)
                 self._claimed.add(finding.key)
+
+    @property
+    def under_way(self) -> int | None:
+        """The number of the object that has an act now; None between acts."""
+        return self.acting.object if self.acting is not None else None
 
     def take(self, answer: object, photo: NumberedPhoto | None, taken_at: Position) -> list[Finding]:
         """The findings of an answer to a photo, which join the objects."""

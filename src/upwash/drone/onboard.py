@@ -6,8 +6,6 @@ import asyncio
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from msgspec import Struct
-
 from upwash.core.operation import ON_DRONE
 from upwash.errors import InstanceError, LinkError, NotReadyInTime, OutcomeUnknown, Refused
 from upwash.eventlog import schema
@@ -28,16 +26,6 @@ async def started(runtime: Runtime, spec: InstanceSpec, *, within_s: float) -> I
         raise NotReadyInTime(spec.name, within_s) from None
 
 
-class _Means(Struct, frozen=True):
-    """What every service on the drone is started and called with."""
-
-    drone: str
-    start_timeout_s: float
-    runtime: Runtime
-    dialer: Dialer
-    journal: Journal
-
-
 class OnboardServices:
     """Keeps the drone's own instances running and calls them."""
 
@@ -51,8 +39,10 @@ class OnboardServices:
         dialer: Dialer,
         journal: Journal,
     ) -> None:
-        means = _Means(drone, start_timeout_s, runtime, dialer, journal)
-        self._services = {spec.service: _OnboardService(spec, means) for spec in specs}
+        self._services = {
+            spec.service: _OnboardService(spec, drone, start_timeout_s, runtime, dialer, journal)
+            for spec in specs
+        }
 
     async def start(self) -> None:
         """Starts every service; raises InstanceError if one cannot run at all."""
@@ -80,50 +70,54 @@ class _Running:
     link: Link
 
 
+@dataclass(eq=False)
 class _OnboardService:
-    def __init__(self, spec: InstanceSpec, means: _Means) -> None:
-        self._spec = spec
-        self._means = means
+    spec: InstanceSpec
+    drone: str
+    start_timeout_s: float
+    runtime: Runtime
+    dialer: Dialer
+    journal: Journal
+    life: asyncio.Task[None] | None = None
+
+    def __post_init__(self) -> None:
         self._running: asyncio.Future[_Running] = asyncio.get_running_loop().create_future()
-        self.life: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
         first = await self._launch()
-        self.life = start(self._live(first), name=f"the life of {self._spec.name}", failed=self._give_up)
+        self.life = start(self._live(first), name=f"the life of {self.spec.name}", failed=self._give_up)
 
     async def call(self, method: str, request: bytes, *, timeout_s: float, once: bool) -> bytes:
         try:
             return await self._attempt(method, request, timeout_s)
         except Refused as error:  # it is well, and would refuse again
-            raise InstanceError(f"{self._spec.service} on the drone: {error}") from error
+            raise InstanceError(f"{self.spec.service} on the drone: {error}") from error
         except LinkError as error:
-            self._means.journal.record(
-                schema.LocalFailed(service=self._spec.service, method=method, why=str(error))
-            )
+            self.journal.record(schema.LocalFailed(service=self.spec.service, method=method, why=str(error)))
             if once:
                 raise OutcomeUnknown(
-                    f"{self._spec.service} failed on the drone in {method}, which may have run and must not run "
+                    f"{self.spec.service} failed on the drone in {method}, which may have run and must not run "
                     f"twice: {error}"
                 ) from error
         try:
             return await self._attempt(method, request, timeout_s)
         except LinkError as error:
-            raise InstanceError(f"{self._spec.service} failed on the drone, twice: {error}") from error
+            raise InstanceError(f"{self.spec.service} failed on the drone, twice: {error}") from error
 
     def _give_up(self, defect: Exception) -> None:
         """Fail every call from now on: nothing starts the service again."""
-        why = f"{self._spec.service} is not watched any more, after a defect: {worded(defect)}"
-        self._means.journal.record(schema.LocalFailed(service=self._spec.service, why=why))
+        why = f"{self.spec.service} is not watched any more, after a defect: {worded(defect)}"
+        self.journal.record(schema.LocalFailed(service=self.spec.service, why=why))
         self._running = asyncio.get_running_loop().create_future()
         self._running.set_exception(InstanceError(why))
 
     async def _attempt(self, method: str, request: bytes, timeout_s: float) -> bytes:
         try:
-            async with asyncio.timeout(self._means.start_timeout_s):
+            async with asyncio.timeout(self.start_timeout_s):
                 running = await asyncio.shield(self._running)
         except TimeoutError:
-            raise NotReadyInTime(f"{self._spec.service} on the drone", self._means.start_timeout_s) from None
-        path = service_path(self._spec.service, method)
+            raise NotReadyInTime(f"{self.spec.service} on the drone", self.start_timeout_s) from None
+        path = service_path(self.spec.service, method)
         try:
             return await running.link.request(path, request, timeout_s=timeout_s)
         except Refused:
@@ -141,7 +135,7 @@ class _OnboardService:
                 self._forget(running)
                 await running.link.close()
                 await running.instance.stop()
-            self._means.journal.record(schema.LocalEnded(service=self._spec.service, how=how))
+            self.journal.record(schema.LocalEnded(service=self.spec.service, how=how))
             running = await self._launch_again()
 
     async def _launch_again(self) -> _Running:
@@ -149,19 +143,19 @@ class _OnboardService:
             try:
                 return await self._launch()
             except InstanceError as error:
-                self._means.journal.record(schema.LocalFailed(service=self._spec.service, why=str(error)))
+                self.journal.record(schema.LocalFailed(service=self.spec.service, why=str(error)))
                 await asyncio.sleep(_PAUSE_S)
 
     async def _launch(self) -> _Running:
-        instance = await started(self._means.runtime, self._spec, within_s=self._means.start_timeout_s)
+        instance = await started(self.runtime, self.spec, within_s=self.start_timeout_s)
         try:
-            await instance.admit(frozenset({self._means.drone}))
+            await instance.admit(frozenset({self.drone}))
         except BaseException:
             await instance.stop()
             raise
-        running = _Running(instance, self._means.dialer.dial(instance.endpoint, server=ON_DRONE))
+        running = _Running(instance, self.dialer.dial(instance.endpoint, server=ON_DRONE))
         self._running.set_result(running)
-        self._means.journal.record(schema.LocalReady(service=self._spec.service))
+        self.journal.record(schema.LocalReady(service=self.spec.service))
         return running
 
     def _forget(self, running: _Running) -> None:

@@ -34,9 +34,8 @@ class Payload:
         self._thread = thread
         self._journal = journal
         self._shoots_again_s = -math.inf
-        self.pointed_deg: tuple[float, float] | None = (
-            None  # pitch and yaw of the gimbal, once it was pointed
-        )
+        # Pitch and yaw of the gimbal, once it was pointed.
+        self.pointed_deg: tuple[float, float] | None = None
 
     def point_gimbal(self, *, pitch_deg: float, yaw_deg: float = 0.0) -> None:
         """Turns the gimbal: -90 looks straight down, 0 ahead; the yaw is relative to the vehicle's nose.
@@ -81,10 +80,5 @@ class Payload:
         await self._autopilot.command(number, name, parameters)
         if number in _SHOTS:
             self._shoots_again_s = asyncio.get_running_loop().time() + _BETWEEN_SHOTS_S
-        self._journal.record(
-            schema.PayloadCommanded(
-                number=number,
-                name=name,
-                parameters=[value if math.isfinite(value) else None for value in parameters],
-            )
-        )
+        known = [value if math.isfinite(value) else None for value in parameters]
+        self._journal.record(schema.PayloadCommanded(number=number, name=name, parameters=known))

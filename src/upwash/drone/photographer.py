@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import msgspec
 
@@ -122,8 +122,7 @@ class Photographer:
         self._album = album
         self._photos = photos or AnsweredPhotos()
         self._objects = objects or FlightObjects()
-        self._album_failed = False
-        self._doubts = set[str]()  # the kinds that the log has
+        self._told = set[str]()  # what the log has
         self.pose: PhotoPose | None = None  # of the last photo
 
     def take_photo(self) -> bytes:
@@ -163,8 +162,7 @@ class Photographer:
         photo = await self._camera.take_photo(before.position)
         after = self._moment()
         shot = _at(photo.captured_s, before, after)
-        geometry, earth = self._geometry(photo, shot), shot.earth
-        told = shot.told
+        geometry, earth, told = self._geometry(photo, shot), shot.earth, shot.told
         self.pose = PhotoPose(shot.position, earth, told.attitude, told.heading_deg, geometry, self._photos)
         self._doubt_clock(photo)
         jpeg = self._placed(photo, shot, geometry, distance_m(before.position, after.position))
@@ -175,9 +173,9 @@ class Photographer:
                 bytes=len(jpeg),
                 age_s=round(asyncio.get_running_loop().time() - photo.captured_s, 6),
                 position=rounded(shot.position),
-                latitude_deg=None if earth is None else round(earth.latitude_deg, _DIGITS),
-                longitude_deg=None if earth is None else round(earth.longitude_deg, _DIGITS),
-                above_sea_m=None if earth is None else _to_the_centimetre(earth.above_sea_m),
+                latitude_deg=_rounded(earth.latitude_deg, _DIGITS) if earth else None,
+                longitude_deg=_rounded(earth.longitude_deg, _DIGITS) if earth else None,
+                above_sea_m=_rounded(earth.above_sea_m, 2) if earth else None,
                 geometry=geometry,
                 truth=msgspec.to_builtins(photo.truth),
                 object=self._objects.under_way,
@@ -191,19 +189,20 @@ class Photographer:
             return photo.jpeg
         own = own_place(photo.jpeg)
         if own is not None:
-            reach_m = _RECEIVERS_M + flown_m + _OWN_PLACE_S * _speed_m_s(shot.told)
+            speed_m_s = shot.told.velocity.speed_m_s if shot.told.velocity else _QUICK_M_S
+            reach_m = _RECEIVERS_M + flown_m + _OWN_PLACE_S * speed_m_s
             away_m = _away_m(shot.earth, own)
             if away_m <= reach_m:
                 return photo.jpeg
-            self._doubt(
+            self._doubt_place(
                 photo,
                 "own place",
                 f"the camera's own place ({own[0]:.6f}, {own[1]:.6f}) is {away_m:,.0f} m from the drone, which can "
                 f"have flown {reach_m:.0f} m at most: the drone's place is written into it, and into others like it",
             )
-        placed = with_place(photo.jpeg, _place(shot, geometry))
+        placed = with_place(photo.jpeg, _place(shot.earth, shot.told, geometry))
         if placed is photo.jpeg and size_of(placed) is not None:  # the bytes of a model have no size
-            self._doubt(
+            self._doubt_place(
                 photo,
                 "not placed",
                 "the drone's place could not be written into it, as its header is damaged or full: the log has the "
@@ -211,23 +210,23 @@ class Photographer:
             )
         return placed
 
-    def _doubt(self, photo: Photo, kind: str, why: str) -> None:
-        """Records what is wrong with a place in a photo, once for each kind."""
-        if kind not in self._doubts:
-            self._doubts.add(kind)
-            self._journal.record(schema.PhotoPlaceDoubted(source=photo.source, why=why))
+    def _doubt_place(self, photo: Photo, kind: str, why: str) -> None:
+        self._record_once(kind, schema.PhotoPlaceDoubted(source=photo.source, why=why))
+
+    def _record_once(self, what: str, event: schema.Event) -> None:
+        if what not in self._told:
+            self._told.add(what)
+            self._journal.record(event)
 
     def _doubt_clock(self, photo: Photo) -> None:
-        """Records once that the camera's clock is wrong, or this computer's."""
-        if (other := photo.other_clock) is not None and "clock" not in self._doubts:
-            self._doubts.add("clock")
-            self._journal.record(
+        """Records that the camera's clock is wrong, or this computer's."""
+        if (other := photo.other_clock) is not None:
+            behind_s = round((other.own - other.camera).total_seconds(), 1)
+            self._record_once(
+                "clock",
                 schema.CameraClockDiffers(
-                    source=photo.source,
-                    camera=other.camera,
-                    clock=other.own,
-                    behind_s=round((other.own - other.camera).total_seconds(), 1),
-                )
+                    source=photo.source, camera=other.camera, clock=other.own, behind_s=behind_s
+                ),
             )
 
     async def _kept(
@@ -243,9 +242,7 @@ class Photographer:
         try:
             return await self._album.keep(photo)
         except NotWritten as error:
-            if not self._album_failed:
-                self._album_failed = True
-                self._journal.record(schema.PhotosNotKept(why=str(error)))
+            self._record_once("album", schema.PhotosNotKept(why=str(error)))
             return source
 
     def _moment(self) -> _Moment:
@@ -264,8 +261,8 @@ class Photographer:
             position=rounded(shot.position),
             size_px=size_px,
             lens=lens,
-            attitude=attitude and _rounded(attitude),
-            heading_deg=None if attitude or told.heading_deg is None else round(told.heading_deg, 1),
+            attitude=attitude and Attitude(*(round(angle, 2) for angle in astuple(attitude))),
+            heading_deg=None if attitude else _rounded(told.heading_deg, 1),
             ground=self._ground(shot.position),
             accuracy=_accuracy(told, lens),
         )
@@ -347,38 +344,22 @@ def _fix_m(gps: GpsFix | None) -> float:
     return _FIX_M[gps.kind] * max(1.0, gps.hdop or 1.0)
 
 
-def _rounded(attitude: Attitude) -> Attitude:
-    return Attitude(round(attitude.roll_deg, 2), round(attitude.pitch_deg, 2), round(attitude.yaw_deg, 2))
-
-
-def _speed_m_s(told: Telemetry) -> float:
-    return _QUICK_M_S if told.velocity is None else told.velocity.speed_m_s
-
-
 def _away_m(earth: EarthPosition, place: tuple[float, float]) -> float:
     """The distance over the ground from the drone to a place in degrees."""
     frame = LocalFrame(GeoPosition(earth.latitude_deg, earth.longitude_deg))
     return ground_distance_m(Position(0.0, 0.0), frame.position(GeoPosition(*place)))
 
 
-def _place(shot: _Moment, geometry: PhotoGeometry | None) -> PhotoPlace:
+def _place(earth: EarthPosition, told: Telemetry, geometry: PhotoGeometry | None) -> PhotoPlace:
     """The drone's place, and the direction of up in the photo, or else of the nose."""
-    earth = shot.earth
-    assert earth is not None  # noqa: S101
-    heading_deg, focal_35mm = shot.told.heading_deg, None
+    heading_deg, focal_35mm = told.heading_deg, None
     if geometry is not None:
         if (sight := _sure_sight(geometry)) is not None:
             heading_deg = sight.angles_deg[0]
         focal_35mm = _FILM_MM * geometry.lens.focal_in(geometry.size_px) / geometry.size_px[0]
-    return PhotoPlace(
-        earth.latitude_deg,
-        earth.longitude_deg,
-        earth.above_sea_m,
-        heading_deg,
-        earth.unix_s,
-        focal_35mm,
-    )
+    latitude_deg, longitude_deg = earth.latitude_deg, earth.longitude_deg
+    return PhotoPlace(latitude_deg, longitude_deg, earth.above_sea_m, heading_deg, earth.unix_s, focal_35mm)
 
 
-def _to_the_centimetre(length_m: float | None) -> float | None:
-    return None if length_m is None else round(length_m, 2)
+def _rounded(value: float | None, digits: int) -> float | None:
+    return None if value is None else round(value, digits)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import functools
 from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, NoReturn, TypeVar
 
 from upwash.core.selection import events
@@ -23,30 +24,26 @@ from upwash.support.background import begin, end, first
 T = TypeVar("T")
 
 
+@dataclass(eq=False)
 class RadioWorker:
-    """Visits one server at a time, with one radio."""
+    """Visits one server at a time, with one radio.
 
-    def __init__(
-        self,
-        in_range: Callable[[str], bool],
-        endpoints: Mapping[str, ServerEndpoint],
-        *,
-        network: Network,
-        dialer: Dialer,
-        journal: Journal,
-        tell: Callable[[SelectionEvent], None],
-        told: Callable[[], Coroutine[Any, Any, None]],
-    ) -> None:
-        self.session: ServerSession | None = None
-        self._session_with = ""  # the server
-        self.cut: events.RemoteCallCut | None = None  # the call that ended the session by taking too long
-        self._in_range = in_range
-        self._endpoints = endpoints
-        self._network = network
-        self._dialer = dialer
-        self._journal = journal
-        self._tell = tell
-        self._told = told  # waits for the core's next event, as when a border is crossed
+    `cut` is the call that ended the session by taking too long. `told` waits for the core's next event, as when a
+    border is crossed.
+    """
+
+    in_range: Callable[[str], bool]
+    endpoints: Mapping[str, ServerEndpoint]
+    network: Network
+    dialer: Dialer
+    journal: Journal
+    tell: Callable[[SelectionEvent], None]
+    told: Callable[[], Coroutine[Any, Any, None]]
+    session: ServerSession | None = field(default=None, init=False)
+    cut: events.RemoteCallCut | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        """Has no commands."""
         self._commands: asyncio.Queue[Command] = asyncio.Queue()
         self._tasks: asyncio.TaskGroup  # of `run`: the worker fails with any of them
         self._exchange: asyncio.Task[None] | None = None  # what the session is busy with
@@ -55,7 +52,7 @@ class RadioWorker:
 
     def round_trip_s(self, server: str) -> float | None:
         """The seconds of the last answered request to the server's daemon; None if elsewhere or unanswered."""
-        if self.session is None or self._session_with != server:
+        if self.session is None or self.session.server != server:
             return None
         return self.session.round_trip_s
 
@@ -98,11 +95,11 @@ class RadioWorker:
             case Leave(server):
                 await end(self._message, self._exchange)
                 if self.session is not None:
-                    while self.session.calling and self._in_range(server):
-                        await first(self.session.calls_over(), self._told())
-                    answered = await self.session.end(in_range=self._in_range(server))
+                    while self.session.calling and self.in_range(server):
+                        await first(self.session.calls_over(), self.told())
+                    answered = await self.session.end(in_range=self.in_range(server))
                     if answered and self.cut is not None:
-                        self._tell(self.cut)
+                        self.tell(self.cut)
                 await end(self._watch)
                 self.session = self.cut = self._exchange = self._message = self._watch = None
 
@@ -112,9 +109,8 @@ class RadioWorker:
         self._message = self._exchange = self._watch = None
 
     def _session_at(self, server: str) -> ServerSession:
-        if self.session is None or self._session_with != server:
-            self.session = ServerSession(self._endpoints[server], network=self._network, dialer=self._dialer)
-            self._session_with = server
+        if self.session is None or self.session.server != server:
+            self.session = ServerSession(self.endpoints[server], network=self.network, dialer=self.dialer)
         return self.session
 
     async def _ask(self, session: ServerSession, command: Check) -> None:
@@ -124,9 +120,9 @@ class RadioWorker:
             self._watch = self._tasks.create_task(self._watch_network(session, check))
             answer = await self._with_slot(session.ask, check)
         except (NetworkError, LinkError) as error:
-            self._tell(_failed(check, error))
+            self.tell(_failed(check, error))
             return
-        self._tell(events.CheckAnswered(check, session.running, tuple(answer.peers), answer.waiting))
+        self.tell(events.CheckAnswered(check, session.running, tuple(answer.peers), answer.waiting))
         if session.running:
             await self._keep_lease(session, check)
 
@@ -136,7 +132,7 @@ class RadioWorker:
             try:
                 return await ask()
             except ServerFull as refusal:
-                self._tell(events.SlotRefused(check, refusal.waiting))
+                self.tell(events.SlotRefused(check, refusal.waiting))
                 await asyncio.sleep(refusal.ask_again_s)
 
     async def _keep_lease(self, session: ServerSession, check: int) -> None:
@@ -145,21 +141,21 @@ class RadioWorker:
         def renewed(waiting: int) -> None:
             nonlocal before
             if waiting or before:
-                self._tell(events.LeaseRenewed(check, waiting))
+                self.tell(events.LeaseRenewed(check, waiting))
             before = waiting
 
         def moved(service: str) -> None:
-            self._journal.record(schema.ServiceMoved(server=session.server, check=check, service=service))
+            self.journal.record(schema.ServiceMoved(server=session.server, check=check, service=service))
 
         try:
             await session.keep_lease(renewed, moved)
         except ServerFull as refusal:
-            self._tell(events.SlotTaken(check, str(refusal)))
+            self.tell(events.SlotTaken(check, str(refusal)))
 
     async def _join(self, session: ServerSession, command: Check | Probe) -> None:
         if await session.join(timeout_s=command.join_limit_s):
-            network = self._endpoints[command.server].network
-            self._journal.record(schema.Joined(server=command.server, network=network, check=command.check))
+            network = self.endpoints[command.server].network
+            self.journal.record(schema.Joined(server=command.server, network=network, check=command.check))
 
     async def _probe(self, session: ServerSession, command: Probe) -> None:
         """Return at the first reply. Probes overlap: a pending one does not delay the next."""
@@ -169,10 +165,10 @@ class RadioWorker:
             for pause_s in command.probing.pauses_s(alone_s=command.alone_s):
                 answered = await _first_success(asking, within_s=pause_s)
                 if answered is not None:
-                    self._tell(answered)
+                    self.tell(answered)
                     return
                 if asked:
-                    self._tell(events.ProbeUnanswered(command.check))
+                    self.tell(events.ProbeUnanswered(command.check))
                 asked = True
                 asking = {task for task in asking if not task.done()}
                 try:
@@ -181,48 +177,47 @@ class RadioWorker:
                     continue
                 if self._watch is None or self._watch.done():
                     self._watch = self._tasks.create_task(self._watch_network(session, None))
-                asking.add(begin(self._question(session, command.check)))
+                asking.add(begin(_question(session, command.check)))
         finally:
             await end(*asking)
-
-    async def _question(
-        self, session: ServerSession, check: int
-    ) -> events.ProbeAnswered | events.ProbePaused:
-        try:
-            return events.ProbeAnswered(check, await session.probe())
-        except ServicePaused as refusal:
-            return events.ProbePaused(check, str(refusal), refusal.pause_s)
 
     async def _watch_network(self, session: ServerSession, check: int | None) -> None:
         why = await session.lost()
         if check is not None:
-            self._tell(events.NetworkGone(check, why))
+            self.tell(events.NetworkGone(check, why))
 
     async def _start(self, session: ServerSession, command: Start) -> None:
         start = functools.partial(session.start, timeout_s=command.limit_s)
         try:
             await self._with_slot(start, command.check)
         except LinkError as error:
-            self._tell(_failed(command.check, error))
+            self.tell(_failed(command.check, error))
             return
-        self._tell(events.ServicesStarted(command.check))
+        self.tell(events.ServicesStarted(command.check))
         await self._keep_lease(session, command.check)
 
     async def _prepare(self, session: ServerSession, command: Prepare) -> None:
         """Ask the server to announce the drone to its peer; report only whether the peer accepted."""
         try:
             await session.prepare(
-                self._endpoints[command.peer], arrives_in_s=command.arrives_in_s, hold_s=command.hold_s
+                self.endpoints[command.peer], arrives_in_s=command.arrives_in_s, hold_s=command.hold_s
             )
         except LinkError as error:
-            self._journal.record(schema.NotPrepared(server=command.peer, by=command.server, why=str(error)))
+            self.journal.record(schema.NotPrepared(server=command.peer, by=command.server, why=str(error)))
             return
-        self._tell(events.PeerPrepared(command.peer, command.server))
+        self.tell(events.PeerPrepared(command.peer, command.server))
 
 
 def _failed(check: int, error: NetworkError | LinkError) -> events.ServerUnusable:
     pause_s = error.pause_s if isinstance(error, ServicePaused) else 0.0
     return events.ServerUnusable(check, str(error), isinstance(error, UNREACHED), pause_s)
+
+
+async def _question(session: ServerSession, check: int) -> events.ProbeAnswered | events.ProbePaused:
+    try:
+        return events.ProbeAnswered(check, await session.probe())
+    except ServicePaused as refusal:
+        return events.ProbePaused(check, str(refusal), refusal.pause_s)
 
 
 async def _first_success(tasks: set[asyncio.Task[T]], *, within_s: float) -> T | None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 
-from upwash.config import DroneConfig
+from upwash.config import DroneConfig, pace_in_numbers, told_pace
 from upwash.core.geo import Position
 from upwash.core.vehicle.energy import FlightEnergy, FlightReport, Margin, Reserve, in_battery
+from upwash.drone.homecoming import Homecoming
+from upwash.drone.legs import Legs
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
 
@@ -19,11 +20,7 @@ _HOME = Position(0.0, 0.0)
 
 
 class ReserveWatch:
-    """Checks the battery every second, on the ground and in the air, and on the way down.
-
-    `flying` returns whether the mission has the vehicle in the air, `leg_speed_m_s` the commanded speed of its leg,
-    and `down_s` the seconds left of a return or landing.
-    """
+    """Checks the battery every second, on the ground and in the air, and on the way down."""
 
     def __init__(
         self,
@@ -31,9 +28,8 @@ class ReserveWatch:
         autopilot: Autopilot,
         journal: Journal,
         *,
-        flying: Callable[[], bool],
-        leg_speed_m_s: Callable[[], float | None],
-        down_s: Callable[[], float | None],
+        legs: Legs,
+        homecoming: Homecoming,
     ) -> None:
         mission = config.mission
         self._least_percent = mission.reserve_percent
@@ -44,16 +40,20 @@ class ReserveWatch:
                 endurance_s=config.vehicle.endurance_s,
                 lands=config.autopilot.on_failure == "land",
             )
+        self.pace = told_pace(config.vehicle) or pace_in_numbers(config.vehicle)
         self._autopilot = autopilot
         self._journal = journal
-        self._flying = flying
-        self._leg_speed_m_s = leg_speed_m_s
-        self._down_s = down_s
+        self._legs = legs
+        self._homecoming = homecoming
         self._home = _HOME  # where it was last seen before it took off
         self._has_flown = False
         self._told: tuple[float, Margin] | None = None  # when, and what
         self._unwatched: set[int] = set()  # batteries, as told
         self._now: Margin | None = None
+
+    def home_s(self, place: Position) -> float:
+        """The seconds from a place to the ground at home, on average."""
+        return self.pace.home_share * self._autopilot.energy.time_home_s(place)
 
     def spare_s(self) -> float | None:
         """The seconds of flight that the reserve leaves; None if nothing tells."""
@@ -87,7 +87,9 @@ class ReserveWatch:
         told = self._autopilot.telemetry
         percent = told.battery_percent
         if self._energy is not None:
-            now = self._in_flight(self._energy) if self._flying() else self._before_flight(self._energy)
+            now = (
+                self._in_flight(self._energy) if self._legs.in_the_air else self._before_flight(self._energy)
+            )
             if now is not None and now.turn_back:
                 return str(now)
         if percent is not None and self._least_percent is not None and percent < self._least_percent:
@@ -111,11 +113,11 @@ class ReserveWatch:
             position=vehicle.position,
             charges_percent=told.charges_percent,
             velocity=told.velocity,
-            leg_speed_m_s=self._leg_speed_m_s(),
+            leg_speed_m_s=self._legs.leg_speed_m_s,
             wind=vehicle.wind,
         )
         energy.take(report)
-        now = energy.margin(report, self._home, vehicle.energy, down_s=self._down_s())
+        now = energy.margin(report, self._home, vehicle.energy, down_s=self._homecoming.left_s)
         if now is not None:
             self._now = now
             self._tell(now, report.time_s)

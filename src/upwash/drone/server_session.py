@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 from collections import Counter
 from collections.abc import Callable, Mapping
-from typing import NoReturn
+from typing import NoReturn, TypeVar
 
 import msgspec
 from msgspec import Struct
@@ -50,6 +50,8 @@ _LEAST_ASK_S, _LONGEST_ASK_S = 0.5, 30.0  # bounds of the time between two quest
 _LONGEST_PAUSE_S = 600.0  # bound of the time that a server asks to be left out
 MOST_MOVES = 16
 
+R = TypeVar("R", bound=Struct)
+
 
 class ServerEndpoint(Struct, frozen=True):
     """The network and address of a server, and the drone's services that are used there.
@@ -75,8 +77,7 @@ class ServerSession:
         self._dialer = dialer
         self._address = endpoint.address
         self._daemon: Link | None = None
-        self._instances: dict[str, Link] = {}
-        self._addresses: dict[str, str] = {}  # that they lead to
+        self._instances: dict[str, tuple[str, Link]] = {}  # with the addresses that they lead to
         self._moves: Counter[str] = Counter()  # of each service, since the last question
         self._former: list[Link] = []  # to former instances
         self._lease_s = LEAST_LEASE_S
@@ -141,21 +142,18 @@ class ServerSession:
 
         Uses new connections, as earlier ones may be dead without showing it. Raises LinkError.
         """
-        daemon = await self._dial_daemon()
-        links = [daemon]
-        try:
+        async with contextlib.AsyncExitStack() as links:
+            daemon = await self._dial_daemon()
+            links.push_async_callback(daemon.close)
             try:
                 answer = await self._availability(daemon)
             except ServerFull:  # which is an answer too
                 return False
             for service in self._server.services:
                 if service in answer.endpoints:
-                    address = resolve(answer.endpoints[service], self._address)
-                    links.append(self._dialer.dial(address, server=self._server.name))
-                    await _connected(links[-1])
-        finally:
-            for link in links:
-                await link.close()
+                    link = self._link(resolve(answer.endpoints[service], self._address))
+                    links.push_async_callback(link.close)
+                    await _connected(link)
         return all(service in answer.endpoints for service in self._server.services)
 
     async def start(self, *, timeout_s: float) -> None:
@@ -163,14 +161,10 @@ class ServerSession:
         for service in self._server.services:
             if service in self._instances:
                 continue
-            request = StartRequest(self._server.name, service)
-            reply = decode_reply(
-                await self._tell(START, request, timeout_s=timeout_s), StartReply, sender=self._server.name
-            )
+            request = StartRequest(self.server, service)
+            reply = await self._asked(START, request, StartReply, timeout_s=timeout_s)
             if not reply.endpoint:
-                self._raise_if_full(reply)
-                self._raise_if_paused(reply)
-                raise Refused(f"{self._server.name} cannot start {service}: {reply.reason}")
+                self._refuse(reply, f"cannot start {service}")
             await self._dial(service, reply.endpoint)
 
     async def start_patiently(self, *, within_s: float) -> None:
@@ -185,11 +179,9 @@ class ServerSession:
     async def prepare(self, peer: ServerEndpoint, *, arrives_in_s: float, hold_s: float) -> None:
         """Asks this server to have its peer start services and hold a slot; raises LinkError if it does not."""
         request = PrepareRequest(
-            self._server.name, peer.name, list(peer.services), arrives_in_s=arrives_in_s, hold_s=hold_s
+            self.server, peer.name, list(peer.services), arrives_in_s=arrives_in_s, hold_s=hold_s
         )
-        reply = decode_reply(
-            await self._tell(PREPARE, request, timeout_s=_ANSWER_S), HoldReply, sender=self._server.name
-        )
+        reply = await self._asked(PREPARE, request, HoldReply, timeout_s=_ANSWER_S)
         if not reply.held:
             raise Refused(reply.reason)
 
@@ -224,12 +216,12 @@ class ServerSession:
             self._former.clear()
         for service in sorted(self._instances.keys() & endpoints.keys()):
             address = resolve(endpoints[service], self._address)
-            if address != self._addresses[service] and self._moves[service] < MOST_MOVES:
+            before, link = self._instances[service]
+            if address != before and self._moves[service] < MOST_MOVES:
                 self._moves[service] += 1
                 moved(service)
-                self._former.append(self._instances[service])
-                self._instances[service] = self._dialer.dial(address, server=self._server.name)
-                self._addresses[service] = address
+                self._former.append(link)
+                self._instances[service] = address, self._link(address)
 
     async def call(
         self,
@@ -244,9 +236,9 @@ class ServerSession:
 
         Raises NotBegun if the server does not begin it within `may_queue_s`; None: within any time.
         """
-        instance = self._instances.get(service)
-        if instance is None:
-            raise Refused(f"{self._server.name} does not run {service}")
+        if service not in self._instances:
+            raise Refused(f"{self.server} does not run {service}")
+        _, instance = self._instances[service]
         self._calls += 1
         self._quiet.clear()
         try:
@@ -254,7 +246,7 @@ class ServerSession:
             return await instance.request(service_path(service, method), sent, timeout_s=deadline_s)
         except LinkError as error:
             if self._lost:
-                raise Unreachable(f"{self._server.name}: its network was lost: {self._lost}") from error
+                raise Unreachable(f"{self.server}: its network was lost: {self._lost}") from error
             raise
         finally:
             self._calls -= 1
@@ -270,7 +262,7 @@ class ServerSession:
         denied, self._denied = sorted(self._denied), set()
         if denied and self._daemon is not None:
             with contextlib.suppress(LinkError):
-                await self._tell(DENY, DenyRequest(self._server.name, denied), timeout_s=_FAREWELL_S)
+                await self._tell(DENY, DenyRequest(self.server, denied), timeout_s=_FAREWELL_S)
 
     async def end(self, *, in_range: bool) -> bool:
         """Leaves the server: in range after the calls under way, with a message to the daemon; out of range at once.
@@ -282,11 +274,11 @@ class ServerSession:
             await self.calls_over()
             if self._daemon is None and self._expected:  # a probe asked, over a connection of its own
                 with contextlib.suppress(Unreachable):
-                    self._daemon = self._dialer.dial(self._address, server=self._server.name)
+                    self._daemon = self._link(self._address)
             await self.tell_denied()
             if self._daemon is not None:
                 with contextlib.suppress(LinkError):
-                    await self._tell(LEAVE, LeaveRequest(self._server.name), timeout_s=_FAREWELL_S)
+                    await self._tell(LEAVE, LeaveRequest(self.server), timeout_s=_FAREWELL_S)
                     answered = True
         await self._hang_up()
         await self._network.leave()
@@ -294,8 +286,11 @@ class ServerSession:
 
     async def _dial_daemon(self) -> Link:
         if self._server.finder is not None:
-            self._address = await self._server.finder(self._server.name)
-        return self._dialer.dial(self._address, server=self._server.name)
+            self._address = await self._server.finder(self.server)
+        return self._link(self._address)
+
+    def _link(self, address: str) -> Link:
+        return self._dialer.dial(address, server=self.server)
 
     async def hang_up(self) -> None:
         """Drops the calls under way and every connection, and stays on the network."""
@@ -303,36 +298,41 @@ class ServerSession:
         self._instances, self._daemon, self._expected = {}, None, False
 
     async def _hang_up(self) -> None:
-        for link in (*self._instances.values(), *self._former, self._daemon):
+        instances = [link for _, link in self._instances.values()]
+        for link in (*instances, *self._former, self._daemon):
             if link is not None:
                 await link.close()
 
     async def _availability(self, daemon: Link | None = None) -> AvailabilityReply:
-        request = AvailabilityRequest(self._server.name, list(self._server.services))
+        request = AvailabilityRequest(self.server, list(self._server.services))
         asked_s = asyncio.get_running_loop().time()
         reply = await self._tell(AVAILABILITY, request, timeout_s=_ANSWER_S, daemon=daemon)
         self.round_trip_s = asyncio.get_running_loop().time() - asked_s
-        answer = decode_reply(reply, AvailabilityReply, sender=self._server.name)
+        answer = decode_reply(reply, AvailabilityReply, sender=self.server)
         if not answer.available:
-            self._raise_if_full(answer)
-            self._raise_if_paused(answer)
-            raise Refused(f"{self._server.name} is unavailable: {answer.reason}")
+            self._refuse(answer, "is unavailable")
         self._lease_s, self._expected = answer.lease_s, True
         return answer
 
     def _raise_if_full(self, reply: AvailabilityReply | StartReply) -> None:
         if reply.ask_again_s > 0:
             raise ServerFull(
-                f"{self._server.name}: {reply.reason}",
+                f"{self.server}: {reply.reason}",
                 waiting=reply.waiting,
                 ask_again_s=min(max(_LEAST_ASK_S, reply.ask_again_s), _LONGEST_ASK_S),
             )
 
-    def _raise_if_paused(self, reply: AvailabilityReply | StartReply) -> None:
+    def _refuse(self, reply: AvailabilityReply | StartReply, what: str) -> NoReturn:
+        self._raise_if_full(reply)
         if reply.pause_s > 0:
             pause_s = min(reply.pause_s, _LONGEST_PAUSE_S)
-            why = f"{self._server.name} is left out for {pause_s:.0f} s: {reply.reason}"
+            why = f"{self.server} is left out for {pause_s:.0f} s: {reply.reason}"
             raise ServicePaused(why, pause_s=pause_s)
+        raise Refused(f"{self.server} {what}: {reply.reason}")
+
+    async def _asked(self, path: str, request: Struct, expected: type[R], *, timeout_s: float) -> R:
+        reply = await self._tell(path, request, timeout_s=timeout_s)
+        return decode_reply(reply, expected, sender=self.server)
 
     async def _tell(
         self, path: str, message: msgspec.Struct, *, timeout_s: float, daemon: Link | None = None
@@ -344,12 +344,13 @@ class ServerSession:
     async def _dial(self, service: str, endpoint: str) -> None:
         """Open a link to the instance, unless there is one to that address."""
         address = resolve(endpoint, self._address)
-        if address == self._addresses.get(service) and service in self._instances:
-            return
         if service in self._instances:
-            await self._instances[service].close()
-        link = self._instances[service] = self._dialer.dial(address, server=self._server.name)
-        self._addresses[service] = address
+            before, link = self._instances[service]
+            if address == before:
+                return
+            await link.close()
+        link = self._link(address)
+        self._instances[service] = address, link
         if link.is_far or self._server.connects:
             await _connected(link)
 

@@ -10,7 +10,7 @@ from msgspec import Struct
 from upwash.core.geo import Circle, Position, Via, Waypoint, ground_distance_m
 from upwash.core.vehicle.geofence import Fence, breached_by_leg, breached_by_move, breached_by_position
 from upwash.core.vehicle.return_place import RallyPoints, ReturnPlace
-from upwash.drone.home import NO_PLANNED_HOME, PlannedHome
+from upwash.drone.home import PlannedHome
 from upwash.errors import AutopilotRefused
 from upwash.plans import Ending
 from upwash.ports import VehicleLimits
@@ -31,7 +31,7 @@ class Site(Struct, frozen=True):
     farthest_start_m: float
     takeoff_m: float
     ending: Ending = "return"
-    home: PlannedHome = NO_PLANNED_HOME
+    home: PlannedHome = PlannedHome()
     leaving: Sequence[Via] = ()
     way: Sequence[Position] = ()
 

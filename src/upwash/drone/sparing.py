@@ -6,6 +6,7 @@ drone's position is logged less often. The flight goes on in any case.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NoReturn
 
 from upwash.core.knowledge.supplies import FOR_LINKS, Scarcity, Supplies, Supply
@@ -45,11 +46,8 @@ class Sparing:
 
     def _look(self) -> None:
         for change in self._scarcity.look(self._computer.left()):
-            self._journal.record(
-                schema.SupplyChanged(
-                    supply=change.supply, left=int(min(change.left, _MOST)), scarce=change.scarce
-                )
-            )
+            left = int(min(change.left, _MOST))
+            self._journal.record(schema.SupplyChanged(supply=change.supply, left=left, scarce=change.scarce))
 
 
 class _Ample:
@@ -63,29 +61,29 @@ class _Ample:
 AMPLE: Computer = _Ample()
 
 
+@dataclass(frozen=True, slots=True)
 class SparingDialer:
     """Opens links by another dialer while the program has what a link needs."""
 
-    def __init__(self, dialer: Dialer, sparing: Sparing) -> None:
-        self._dialer = dialer
-        self._sparing = sparing
+    dialer: Dialer
+    sparing: Sparing
 
     def dial(self, address: str, *, server: str) -> Link:
         """A link as by the other dialer; raises Unreachable while a supply is scarce."""
-        if why := self._sparing.why_not(*FOR_LINKS):
+        if why := self.sparing.why_not(*FOR_LINKS):
             raise Unreachable(f"{server} is not dialled: this computer has {why}")
-        return self._dialer.dial(address, server=server)
+        return self.dialer.dial(address, server=server)
 
 
+@dataclass(frozen=True, slots=True)
 class SparingAlbum:
     """Keeps photos in another album while the disk has room, and the program has files and threads."""
 
-    def __init__(self, album: Album, sparing: Sparing) -> None:
-        self._album = album
-        self._sparing = sparing
+    album: Album
+    sparing: Sparing
 
     async def keep(self, photo: KeptPhoto) -> str:
         """Returns the photo's name in the other album, or its source while a supply is scarce; raises NotWritten."""
-        if self._sparing.why_not("disk", "files", "threads"):
+        if self.sparing.why_not("disk", "files", "threads"):
             return photo.source
-        return await self._album.keep(photo)
+        return await self.album.keep(photo)

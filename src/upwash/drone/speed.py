@@ -60,13 +60,9 @@ def chosen_speed(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Chose
 
 
 def forecast_speed(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> RowForecast:
-    """The forecast of a mission of rows at its ground speed."""
-    return _forecast(row_missions(config, specs), config.mission.ground_speed_m_s)
-
-
-def _forecast(missions: Sequence[RowMission], ground_speed_m_s: float) -> RowForecast:
-    """The forecast of one of the missions, with the mean time of all."""
-    found = [forecast_rows(mission, ground_speed_m_s) for mission in missions]
+    """The forecast of a mission of rows at its ground speed: of one of those that are likely, with the mean time."""
+    speed_m_s = config.mission.ground_speed_m_s
+    found = [forecast_rows(mission, speed_m_s) for mission in row_missions(config, specs)]
     return replace(found[len(found) // 2], mission_s=fmean(one.mission_s for one in found))
 
 
@@ -179,11 +175,6 @@ def _call_s(estimates: Estimates, server: str, operation: Operation) -> float:
     return (estimates.local_s(operation) or 0.0) if remote_s is None else remote_s
 
 
-def _nearest(plan: Sequence[Waypoint], place: Position) -> int:
-    """The waypoint whose photo is likely to show an object at the place first."""
-    return min(range(len(plan)), key=lambda number: ground_distance_m(plan[number].position, place))
-
-
 def _demanding(config: DroneConfig, plan: Sequence[Waypoint]) -> list[frozenset[int]]:
     """Sets of photos whose answers demand an action, all as likely: one by `[event] every`, else some.
 
@@ -196,7 +187,9 @@ def _demanding(config: DroneConfig, plan: Sequence[Waypoint]) -> list[frozenset[
     if event is not None and event.every is not None:
         return [frozenset(range(event.offset, len(plan), event.every))]
     if event is not None and event.objects:
-        return [frozenset(_nearest(plan, Position(each.east_m, each.north_m)) for each in event.objects)]
+        places = [Position(each.east_m, each.north_m) for each in event.objects]
+        away_m = [[ground_distance_m(each.position, place) for each in plan] for place in places]
+        return [frozenset(each.index(min(each)) for each in away_m)]  # whose photo is likely to show it first
     if event is not None:
         chances = [event.chance(waypoint.position) for waypoint in plan]
     elif known is not None and any(known.places()):

@@ -1,0 +1,141 @@
+"""Makes a mission's calls: one at a time, or several at the same time, with an answer at once or later."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, ParamSpec, TypeVar
+
+import msgspec
+
+from upwash.core.operation import Operation
+from upwash.drone.answered_photos import AnsweredPhotos, NumberedPhoto
+from upwash.drone.mission import MissionThread
+from upwash.drone.offloading import Offloading
+from upwash.drone.pending import Hearing, OpenCall, Pending
+from upwash.errors import UsageError
+from upwash.eventlog import schema
+from upwash.ports import Journal
+from upwash.rpc.service import Method, request_of
+from upwash.support.background import end
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+@dataclass(eq=False)
+class Calls:
+    """Makes the mission's calls, from its thread; `waypoint` returns the drone's waypoint, None off the plan.
+
+    Several may be open at the same time if they stand in line.
+    """
+
+    thread: MissionThread
+    offloading: Offloading
+    journal: Journal
+    waypoint: Callable[[], int | None]
+    photos: AnsweredPhotos
+    _started: list[OpenCall] = field(
+        default_factory=list, init=False
+    )  # the last one, and others that are not over
+
+    def call(self, operation: Operation, method: Method, request: bytes) -> Any:
+        """Makes a call and waits for its decoded reply; UsageError while another call is pending."""
+        self._require_free(operation)
+        photo = self._photo(method, request)
+        self.photos.hand_over(photo)
+
+        after, waypoint = self._dropped, self.waypoint()
+
+        async def run() -> Any:
+            hearing = self._hearing(waypoint)
+            hearing.waits.set()
+            return await self._run(
+                operation, method, request, after=after, waypoint=waypoint, hearing=hearing, urgent=True
+            )
+
+        reply = self.thread.call(run())
+        self.photos.answered(getattr(reply, "value", None), photo)
+        return reply
+
+    def start(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Pending[T]:
+        """Makes a call of a service's method with these arguments, and does not wait.
+
+        Raises UsageError while another call is pending, or if `call` is no method of an object from `Drone.service`.
+        """
+        operation, method, request = request_of(call, args, kwargs)
+        self._require_free(operation)
+        after, waypoint = self._dropped, self.waypoint()
+        started = OpenCall(
+            operation=operation,
+            method=method,
+            thread=self.thread,
+            journal=self.journal,
+            photos=self.photos,
+            waypoint=waypoint,
+            photo=self._photo(method, request),
+            is_alone=not self._several,
+        )
+
+        def begin() -> None:
+            self.journal.record(schema.CallStarted(operation=str(operation), waypoint=waypoint))
+            hearing = self._hearing(waypoint)
+            work = self._run(operation, method, request, after=after, waypoint=waypoint, hearing=hearing)
+            started.begin(work, hearing)
+
+        self._started = [call for call in self._started if not call.is_over] + [started]
+        self.thread.post(begin)
+        return Pending(started)
+
+    async def close(self) -> None:
+        """Ends calls that are still under way; for the loop, after the mission's last call."""
+        await end(*(call.task for call in self._started))
+
+    @property
+    def _several(self) -> bool:
+        return self.offloading.server_calls is not None
+
+    @property
+    def _dropped(self) -> OpenCall | None:
+        """The last call, if the mission has dropped it: the next one waits for its end."""
+        return self._started[-1] if self._started and self._started[-1].is_dropped else None
+
+    def _photo(self, method: Method, request: bytes) -> NumberedPhoto | None:
+        try:
+            return self.photos.of_call(method.arguments(request).values())
+        except msgspec.MsgspecError:  # the service refuses them
+            return self.photos.of_call(())
+
+    def _require_free(self, operation: Operation) -> None:
+        self.thread.require_turn()
+        last = self._started[-1] if self._started else None
+        if not (self._several or last is None or last.is_dropped or last.is_over):
+            raise UsageError(
+                f"{operation} cannot be called yet: another call is pending, and a drone makes one at a time; take "
+                "its answer first, with its result(), or drop it with cancel()"
+            )
+
+    def _hearing(self, waypoint: int | None) -> Hearing:
+        def note_first(operation: Operation, delay_s: float) -> None:
+            self.journal.record(
+                schema.FirstAnswer(waypoint=waypoint, operation=str(operation), delay_s=delay_s)
+            )
+
+        return Hearing(note_first)
+
+    async def _run(
+        self,
+        operation: Operation,
+        method: Method,
+        request: bytes,
+        *,
+        after: OpenCall | None,
+        waypoint: int | None,
+        hearing: Hearing,
+        urgent: bool = False,
+    ) -> Any:
+        if after is not None:
+            await after.over()
+        invoke = partial(self.offloading.invoke, operation, method, request, hearing=hearing)
+        return await (invoke(waypoint, urgent=urgent) if self._several else invoke())
