@@ -105,6 +105,16 @@ class Waypoint:
     row_start: Position | None = None
     via: tuple[Via, ...] = ()
 
+    @property
+    def row(self) -> tuple[Position | None, Position] | None:
+        """What the spots of one row have in common; None of a place where the drone rests."""
+        return None if self.row_end is None else (self.row_start, self.row_end)
+
+    @property
+    def first(self) -> Via | Waypoint:
+        """The first place on the way there from the waypoint before."""
+        return self.via[0] if self.via else self
+
 
 @dataclass(frozen=True, slots=True)
 class Circle:
@@ -116,6 +126,22 @@ class Circle:
     def contains(self, position: Position) -> bool:
         """Whether the position lies within the circle, its border included."""
         return ground_distance_m(self.centre, position) <= self.radius_m
+
+    def inside(self, start: Position, end: Position) -> tuple[float, float] | None:
+        """Where the line over two places is within, from one share of their distance to another; None if nowhere.
+
+        A share is below 0 before the start, and above 1 behind the end. It is infinite for a way straight up.
+        """
+        if (ground_m := ground_distance_m(start, end)) == 0:
+            return (-math.inf, math.inf) if self.contains(start) else None
+        to_start = start.east_m - end.east_m, start.north_m - end.north_m
+        to_centre = self.centre.east_m - end.east_m, self.centre.north_m - end.north_m
+        along_m = (to_start[0] * to_centre[0] + to_start[1] * to_centre[1]) / ground_m
+        across_m2 = to_centre[0] ** 2 + to_centre[1] ** 2 - along_m**2
+        if across_m2 > self.radius_m**2:
+            return None
+        half_m = math.sqrt(self.radius_m**2 - across_m2)
+        return 1 - (along_m + half_m) / ground_m, 1 - (along_m - half_m) / ground_m
 
     def corners(self, sides: int) -> list[Position]:
         """The `sides` corners of a regular polygon on its border, anticlockwise from the east."""
@@ -198,6 +224,14 @@ def part_way(start: Position, end: Position, share: float) -> Position:
         start.north_m + share * (end.north_m - start.north_m),
         start.altitude_m + share * (end.altitude_m - start.altitude_m),
     )
+
+
+def nearest_share(place: Position, start: Position, end: Position) -> float:
+    """Where the straight way is nearest to the place over the ground, as a share of it from 0 to 1."""
+    east_m, north_m = end.east_m - start.east_m, end.north_m - start.north_m
+    square = east_m**2 + north_m**2
+    ahead_m2 = (place.east_m - start.east_m) * east_m + (place.north_m - start.north_m) * north_m
+    return min(1.0, max(0.0, ahead_m2 / square)) if square else 0.0
 
 
 def rounded(position: Position) -> Position:

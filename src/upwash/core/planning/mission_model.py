@@ -93,19 +93,14 @@ class PlannedLeg(Struct, frozen=True):
     hold_s: float = 0.0
 
 
-class _Entries(Struct, frozen=True):
-    """The servers in range at the end of a leg, and where the leg enters ranges in which it does not begin."""
-
-    servers: Sequence[str]
-    entered_m: Sequence[tuple[str, float]]
-
-
 class _Way(Struct, frozen=True):
-    """A coming leg with the hold at its end: its duration, and when it enters ranges in which it does not begin."""
+    """A coming leg with the hold at its end, and when it enters the range of each server in range there.
+
+    None for a range in which it begins.
+    """
 
     duration_s: float
-    servers: Sequence[str]  # in range at its end
-    entered_s: Sequence[tuple[str, float]]
+    entered_s: Mapping[str, float | None]
 
 
 class MissionModel:
@@ -119,8 +114,6 @@ class MissionModel:
         self._index_of_areas = index or AreaIndex(list(areas.values()))
         self._ground_speed_m_s = beliefs.ground_speed_m_s
         self._beliefs = beliefs
-        self._accelerations_m_s2 = deque([beliefs.pace.acceleration_m_s2], maxlen=WINDOW_LENGTH)
-        self._settling_s = beliefs.pace.settling_s
         self._routine = tuple(beliefs.stop)
         self._leaving_s = 0.0  # from the last call of a stop to the next leg
         self._place: Position | None = None  # where it is or flies to, as far as is known
@@ -133,16 +126,17 @@ class MissionModel:
         self._row_starts = list(_row_starts(beliefs.plan))
         self._is_back = False  # or on the way back: the stop teaches nothing
         self._free_s = 0.0  # since when nothing is known to go on, or until when the call under way goes on
-        self._entries: dict[tuple[Position, Position], _Entries] = {}
-        self._ways: dict[tuple[int, float], _Way] = {}  # by waypoint and ground speed, at the present agility
+        self._entries: dict[tuple[Position, Position], Mapping[str, float]] = {}
+        self._flies_as(beliefs.pace)
 
     def begun(self, vehicle: Pace | None) -> None:
         """Begin the mission with a vehicle of that pace; None if unknown."""
-        pace = self._beliefs.pace_of(vehicle)
-        self._accelerations_m_s2.clear()
-        self._accelerations_m_s2.append(pace.acceleration_m_s2)
+        self._flies_as(self._beliefs.pace_of(vehicle))
+
+    def _flies_as(self, pace: Pace) -> None:
+        self._accelerations_m_s2 = deque([pace.acceleration_m_s2], maxlen=WINDOW_LENGTH)
         self._settling_s = pace.settling_s
-        self._ways.clear()
+        self._ways: dict[tuple[int, float], _Way] = {}  # by waypoint and ground speed, at the present agility
 
     def leg_begun(
         self,
@@ -233,37 +227,50 @@ class MissionModel:
 
     def _calls(self, place: Position, position: Position, now_s: float) -> Iterator[ExpectedCall]:
         if self._way is not None:
-            steps, stop = self._routine, self._rest_of_way(self._way, position)
+            steps, gap_s, in_range_s = self._routine, *self._rest_of_way(self._way, position)
         elif self._flies_on:  # its call is made, and it flies on now
-            steps, stop = (), _Stop(0.0, self._near(place))
+            steps, gap_s, in_range_s = (), 0.0, {}
         else:
-            steps, stop = self._routine[len(self._here) :], _Stop(self._free_s - now_s, self._near(place))
-        yield from self._calls_of(steps, stop, place)
-        free_s = 0.0 if steps else stop.gap_s
+            steps, gap_s = self._routine[len(self._here) :], self._free_s - now_s
+            in_range_s = dict.fromkeys(self._entered(place, place))
+        yield from self._calls_of(steps, place, gap_s, in_range_s)
+        free_s = 0.0 if steps else gap_s
         for end, way in self._ways_after(place):
             leaving_s = max(0.0, free_s + self._leaving_s)
             gap_s = leaving_s + way.duration_s
-            entered = [(server, gap_s - leaving_s - entered_s) for server, entered_s in way.entered_s]
-            yield from self._calls_of(self._routine, _Stop(gap_s, way.servers, entered), end)
+            in_range_s = {
+                server: None if way_s is None else gap_s - leaving_s - way_s
+                for server, way_s in way.entered_s.items()
+            }
+            yield from self._calls_of(self._routine, end, gap_s, in_range_s)
             free_s = 0.0
 
-    def _calls_of(self, steps: Sequence[StopCall], stop: _Stop, place: Position) -> Iterator[ExpectedCall]:
+    def _calls_of(
+        self, steps: Sequence[StopCall], place: Position, gap_s: float, in_range_s: Mapping[str, float | None]
+    ) -> Iterator[ExpectedCall]:
+        """The calls at an arrival, `gap_s` after the call before.
+
+        `in_range_s` has for each server there how long it is in range at the arrival; None for the whole gap.
+        """
         for number, step in enumerate(steps):
             if number > 0:
-                stop = _Stop(0.0, self._near(place))
-            gap_s = stop.gap_s if self._flies_on else max(0.0, stop.gap_s + step.pause_s)
-            in_range_s = dict.fromkeys(stop.servers, gap_s)
-            for server, time_s in stop.entered:
-                in_range_s[server] = max(0.0, time_s + step.pause_s)
-            yield ExpectedCall(step.operation, gap_s, in_range_s, place, hides=self._flies_on)
+                gap_s, in_range_s = 0.0, dict.fromkeys(self._entered(place, place))
+            whole_s = gap_s if self._flies_on else max(0.0, gap_s + step.pause_s)
+            known_s = {
+                server: whole_s if time_s is None else max(0.0, time_s + step.pause_s)
+                for server, time_s in in_range_s.items()
+            }
+            yield ExpectedCall(step.operation, whole_s, known_s, place, hides=self._flies_on)
 
-    def _rest_of_way(self, way: PlannedLeg, position: Position) -> _Stop:
+    def _rest_of_way(self, way: PlannedLeg, position: Position) -> tuple[float, Mapping[str, float | None]]:
         leg = way.leg
         flown_s = leg.reached_s(leg.length_m - distance_m(position, way.end))
         whole = self._way_of([way, *self._then])
         rest_s = whole.duration_s - flown_s + self._hold_s()
-        entered = [(server, rest_s - max(0.0, way_s - flown_s)) for server, way_s in whole.entered_s]
-        return _Stop(rest_s, whole.servers, entered)
+        return rest_s, {
+            server: None if way_s is None else rest_s - max(0.0, way_s - flown_s)
+            for server, way_s in whole.entered_s.items()
+        }
 
     def _ways_after(self, place: Position) -> Iterator[tuple[Position, _Way]]:
         if self._index is None:
@@ -340,16 +347,14 @@ class MissionModel:
         """The legs as one way."""
         begins_s = list(itertools.accumulate((leg.leg.duration_s + leg.hold_s for leg in legs), initial=0.0))
         entries = [self._entered(leg.start, leg.end) for leg in legs]
-        entered_s = []
-        for server in entries[-1].servers:
+        entered_s: dict[str, float | None] = dict.fromkeys(entries[-1])
+        for server in entered_s:
             for begun_s, leg, found in zip(begins_s[-2::-1], reversed(legs), reversed(entries), strict=True):
-                way_m = next((way_m for name, way_m in found.entered_m if name == server), None)
-                if server not in found.servers:  # entered as the next leg begins
-                    way_m = leg.leg.length_m
-                if way_m is not None:
-                    entered_s.append((server, begun_s + leg.leg.reached_s(way_m)))
+                way_m = found.get(server, leg.leg.length_m)  # or it is entered as the next leg begins
+                if way_m or server not in found:
+                    entered_s[server] = begun_s + leg.leg.reached_s(way_m)
                     break
-        return _Way(begins_s[-1], entries[-1].servers, entered_s)
+        return _Way(begins_s[-1], entered_s)
 
     def _leg(self, length_m: float, ground_speed_m_s: float | None = None) -> Leg:
         speed_m_s = ground_speed_m_s or self._ground_speed_m_s
@@ -364,48 +369,27 @@ class MissionModel:
         order = itertools.chain(range(following, len(self._plan)), range(following))
         return next((index for index in order if self._plan[index].position == target), None)
 
-    def _near(self, place: Position) -> Sequence[str]:
-        return self._entered(place, place).servers
-
-    def _entered(self, start: Position, end: Position) -> _Entries:
+    def _entered(self, start: Position, end: Position) -> Mapping[str, float]:
+        """For each server in range at the end of a leg, where the leg enters its range; 0 where it begins there."""
         entries = self._entries.get((start, end))
         if entries is None:
             if len(self._entries) >= _MOST_ENTRIES:
                 self._entries.clear()
-            ends_in = (self._areas[number] for number in self._index_of_areas.near(end))
-            found = [(server, entered_m(start, end, area)) for server, area in ends_in]
-            entries = self._entries[start, end] = _Entries(
-                [server for server, way_m in found if way_m is not None],
-                [(server, way_m) for server, way_m in found if way_m],
-            )
+            near = (self._areas[number] for number in self._index_of_areas.near(end))
+            ways_m = ((server, entered_m(start, end, area)) for server, area in near)
+            entries = {server: way_m for server, way_m in ways_m if way_m is not None}
+            self._entries[start, end] = entries
         return entries
 
 
 def _row_starts(plan: Sequence[Waypoint]) -> Iterator[tuple[int, Position]]:
     """For each waypoint of the plan, the index of the first waypoint of its row, and where the leg over it begins."""
-    first, start = 0, Position(0.0, 0.0)
+    first, start, before = 0, Position(0.0, 0.0), None
     for index, waypoint in enumerate(plan):
-        before = plan[index - 1] if index else None
-        same_row = before is not None and not waypoint.via and waypoint.row_end is not None
-        if not (same_row and before and _row_of(before) == _row_of(waypoint)):
-            rests_at = waypoint.via[-1].position if waypoint.via else before.position if before else None
+        if before is None or waypoint.via or waypoint.row is None or before.row != waypoint.row:
+            rests_at = waypoint.via[-1] if waypoint.via else before
             first, start = index, waypoint.position
-            if waypoint.row_start is not None and waypoint.row_start == rests_at:
+            if waypoint.row_start is not None and rests_at and waypoint.row_start == rests_at.position:
                 start = waypoint.row_start
         yield first, start
-
-
-def _row_of(waypoint: Waypoint) -> tuple[Position | None, Position | None]:
-    return waypoint.row_start, waypoint.row_end
-
-
-@dataclass(slots=True)
-class _Stop:
-    """An arrival, `gap_s` after the call before, in range of `servers`.
-
-    The `entered` servers have been in range for that time at the arrival, the others for the whole gap.
-    """
-
-    gap_s: float
-    servers: Sequence[str]
-    entered: Sequence[tuple[str, float]] = ()
+        before = waypoint
