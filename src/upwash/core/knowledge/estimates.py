@@ -178,11 +178,11 @@ class Estimates:
 
     def remote_s(self, server: str, operation: Operation, at: Position | None = None) -> float | None:
         """Expected delay (s) of a remote call, transfer included (`Call_s`); None if the server does not host it."""
-        return self._remote_s(server, operation, at, slow_counts=True)
+        return self._remote_s(server, operation, at, slow=True)
 
     def usual_s(self, server: str, operation: Operation) -> float | None:
         """Expected delay (s) of a remote call as `remote_s`, but without the last slow call of `slow_apart`."""
-        return self._remote_s(server, operation, None, slow_counts=False)
+        return self._remote_s(server, operation, None, slow=False)
 
     def offline_s(self, server: str, operation: Operation) -> float | None:
         """The delay (s) of a remote call sent whole, as believed before any call; None if not hosted there."""
@@ -198,7 +198,7 @@ class Estimates:
         way = self._way(server, operation)
         if way is None or not self.tries_part(operation.service):
             return None
-        whole_s = self._whole_s(server, operation, None, slow_counts=True)
+        whole_s = self._whole_s(server, operation, None, slow=True)
         return None if whole_s is None else (whole_s, way.less_s(whole_s))
 
     def as_whole_s(self, server: str, operation: Operation, less_s: float) -> float:
@@ -329,7 +329,7 @@ class Estimates:
         for operation, calls in self._servers[server].calls.items():
             if now_s - calls.last_s < retry_s:
                 continue
-            if self._is_slow(operation, self._sooner_s(operation, calls, calls.window.mean_s)):
+            if self._is_known_slow(operation, calls):
                 calls.window = Window.filled(calls.offline_s)
             elif calls.slow_s is None:
                 continue
@@ -341,28 +341,23 @@ class Estimates:
 
     def next_forgetting_s(self, server: str, *, retry_s: float) -> float:
         """The time at which `forget_slow_calls` next changes an estimate; infinite if never."""
-        return min(
-            (
-                calls.last_s + retry_s
-                for operation, calls in self._servers[server].calls.items()
-                if calls.slow_s is not None
-                or self._is_slow(operation, self._sooner_s(operation, calls, calls.window.mean_s))
-            ),
-            default=math.inf,
-        )
+        made = [item for item in self._servers[server].calls.items() if item[1].last_s < math.inf]
+        slow = (calls for each, calls in made if calls.slow_s is not None or self._is_known_slow(each, calls))
+        return min((calls.last_s + retry_s for calls in slow), default=math.inf)
+
+    def _is_known_slow(self, operation: Operation, calls: _Calls) -> bool:
+        return self._is_slow(operation, self._sooner_s(operation, calls, calls.window.mean_s))
 
     def _remote_s(
-        self, server: str, operation: Operation, at: Position | None, *, slow_counts: bool
+        self, server: str, operation: Operation, at: Position | None, *, slow: bool
     ) -> float | None:
         calls = self._servers[server].calls.get(operation)
         if calls is None:
             return None
-        whole_s = self._whole_s(server, operation, at, slow_counts=slow_counts)
+        whole_s = self._whole_s(server, operation, at, slow=slow)
         return self.alone_s(operation) if whole_s is None else self._sooner_s(operation, calls, whole_s)
 
-    def _whole_s(
-        self, server: str, operation: Operation, at: Position | None, *, slow_counts: bool
-    ) -> float | None:
+    def _whole_s(self, server: str, operation: Operation, at: Position | None, *, slow: bool) -> float | None:
         """The delay of a call sent whole, by what was measured near the place, or else by the server's calls.
 
         None near a place where the server was not reached.
@@ -373,7 +368,7 @@ class Estimates:
         if known_s is not None or (place is not None and not place.reached):
             return known_s
         calls = self._servers[server].calls[operation]
-        return max(calls.window.mean_s, calls.slow_s or 0.0) if slow_counts else calls.window.mean_s
+        return max(calls.window.mean_s, (calls.slow_s or 0.0) if slow else 0.0)
 
     def _way(self, server: str, operation: Operation) -> BothWays | None:
         calls = self._servers[server].calls.get(operation)
