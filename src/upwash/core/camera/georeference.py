@@ -10,7 +10,7 @@ ground to first order. Vectors are east, north and up.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -115,14 +115,12 @@ class PhotoGeometry(msgspec.Struct, frozen=True, omit_defaults=True):
         if isinstance(sight, Unplaced) or sight.heading_deg >= _UNKNOWN_HEADING_DEG:
             return None
         width, height = self.size_px
-        corners = [sight.line_to(*corner) for corner in ((0, 0), (width, 0), (width, height), (0, height))]
-        here = self.position
-        lines = [line for line in corners if line is not None]
-        return (
-            None
-            if len(lines) < len(corners)
-            else [(here.east_m + east, here.north_m + north) for east, north, _ in lines]
-        )
+        here, found = self.position, list[tuple[float, float]]()
+        for corner in ((0, 0), (width, 0), (width, height), (0, height)):
+            if (line := sight.line_to(*corner)) is None:
+                return None
+            found.append((here.east_m + line[0], here.north_m + line[1]))
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,22 +194,22 @@ class Sight:
             assumes=self.assumes,
         )
 
-    def _shared_errors(self, line: Vector) -> Iterator[tuple[float, float]]:
+    def _shared_errors(self, line: Vector) -> Iterator[complex]:
         """How far the standard errors of position and tilt move the place, east and north: about all places alike."""
         accuracy = self.photo.accuracy
         east, north, up = line
         tilt = math.radians(self.tilt_deg)
-        yield accuracy.position_m, 0.0
-        yield 0.0, accuracy.position_m
+        yield complex(accuracy.position_m, 0.0)
+        yield complex(0.0, accuracy.position_m)
         yield self._moved(line, 0.0, -tilt * up, tilt * north)
         yield self._moved(line, tilt * up, 0.0, -tilt * east)
 
-    def _own_errors(self, line: Vector, *sides: tuple[float, float]) -> Iterator[tuple[float, float]]:
+    def _own_errors(self, line: Vector, *sides: tuple[float, float]) -> Iterator[complex]:
         """The same of what moves each place otherwise; a box by its middle and size to each side."""
         altitude_m = math.hypot(self.photo.accuracy.altitude_m, self.photo.ground.error_m)
         yield self._moved(line, 0.0, 0.0, altitude_m)
         turn = math.radians(self.heading_deg)
-        yield -turn * line[1], turn * line[0]
+        yield complex(-turn * line[1], turn * line[0])
         right, down, ahead = self.axes
         depth_m = sum(part * along for part, along in zip(line, ahead, strict=True))
         lens = self.photo.lens
@@ -224,12 +222,12 @@ class Sight:
             error_m = m_per_px * math.hypot(_BOX_PX, share * size_px)
             yield self._moved(line, *(error_m * part for part in axis))
 
-    def _moved(self, line: Vector, east: float, north: float, up: float) -> tuple[float, float]:
+    def _moved(self, line: Vector, east: float, north: float, up: float) -> complex:
         """How far the place moves, east and north, where the end of the line moves so."""
         ground = self.photo.ground
         rises = up - ground.slope_east * east - ground.slope_north * north
         share = rises / self.height_m  # the line itself sinks by this height, over the ground's plane
-        return east + share * line[0], north + share * line[1]
+        return complex(east + share * line[0], north + share * line[1])
 
 
 def sight_of(photo: PhotoGeometry) -> Sight | Unplaced:
@@ -280,14 +278,11 @@ def _turned(vector: Vector, attitude: Attitude) -> Vector:
     )
 
 
-def _sum(errors: Iterator[tuple[float, float]]) -> tuple[float, float, float]:
+def _sum(errors: Iterable[complex]) -> tuple[float, float, float]:
     """The variances of independent errors together."""
-    easts, mixed, norths = 0.0, 0.0, 0.0
-    for east, north in errors:
-        easts += east * east
-        mixed += east * north
-        norths += north * north
-    return easts, mixed, norths
+    known = list(errors)
+    easts, norths = (sum(error.real**2 for error in known), sum(error.imag**2 for error in known))
+    return easts, sum(error.real * error.imag for error in known), norths
 
 
 def radius_of_95(variance: tuple[float, float, float]) -> float:
