@@ -93,11 +93,11 @@ class Answering:
             self._go_on(due_s)
             while self._coming and self._coming[0][0] <= self.now_s:
                 bisect.insort(self._line, self._coming.popleft()[1])
-            if self._drone is not None and self._drone.end_s <= self.now_s:
-                answered, self._drone = self._drone, None
+            if (answered := self._drone) is not None and answered.end_s <= self.now_s:
+                self._drone = None
                 return answered.photo
-            if self._remote is not None and self._remote.end_s <= self.now_s:
-                answered, self._remote = self._remote, None
+            if (answered := self._remote) is not None and answered.end_s <= self.now_s:
+                self._remote = None
                 return answered.photo
 
     def _go_on(self, to_s: float) -> None:
@@ -116,19 +116,16 @@ class Answering:
                 bisect.insort(self._line, self._remote.photo)
                 self._remote = None
         best = min(in_range, key=lambda name: (self.servers[name].call_s, -in_range[name]), default=None)
-        if best is None or best == self._server or not self._is_worth(best):
+        if best is None or best == self._server:
             return
         server = self.servers[best]
+        if self._server is not None:
+            gain_s = self.servers[self._server].call_s - server.call_s
+            if self._remote is not None or gain_s <= self._switch_s:
+                return
         self._server = best
         self._ready_s = self.now_s + (server.check_running_s if best in self._running else server.check_s)
         self._running.add(best)
-
-    def _is_worth(self, server: str) -> bool:
-        """Whether the drone may use that server in place of the present one."""
-        if self._server is None:
-            return True
-        gain_s = self.servers[self._server].call_s - self.servers[server].call_s
-        return self._remote is None and gain_s > self._switch_s
 
     def _compute(self) -> None:
         """Start the first photos in line, as far as their places are free."""

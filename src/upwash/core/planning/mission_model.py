@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import fmean
 
-from msgspec import Struct, structs
+from msgspec import Struct
 
 from upwash.core.geo import Position, Reach, Via, Waypoint, distance_m
 from upwash.core.knowledge.estimates import WINDOW_LENGTH
@@ -84,12 +84,11 @@ class MissionBeliefs:
 
 
 class PlannedLeg(Struct, frozen=True):
-    """A leg between two places, and when it was begun; the drone hovers for `hold_s` at a place without a call."""
+    """A leg between two places; the drone hovers for `hold_s` at a place without a call."""
 
     start: Position
     end: Position
     leg: Leg | Section
-    begun_s: float = 0.0
     hold_s: float = 0.0
 
 
@@ -120,6 +119,7 @@ class MissionModel:
         self._index: int | None = None  # of that place in the plan
         self._way: PlannedLeg | None = None
         self._then: list[PlannedLeg] = []  # the legs after it, to the same target
+        self._begun_s = 0.0  # when the first of them was begun
         self._last_leg_m = 0.0
         self._here: list[StopCall] = []
         self._flies_on = any(waypoint.row_end is not None for waypoint in beliefs.plan)  # before its answers
@@ -158,13 +158,13 @@ class MissionModel:
         if self._way is None or self._place != target or self._index is None:
             self._index = self._find(target)
         self._place, self._here = target, []
-        self._last_leg_m = distance_m(start, target)
-        self._way, *self._then = self._legs_to(None if back else self._index, start, target, via, now_s=now_s)
+        self._last_leg_m, self._begun_s = distance_m(start, target), now_s
+        self._way, *self._then = self._legs_to(None if back else self._index, start, target, via)
 
     def arrived(self, *, now_s: float) -> None:
         """Note that the leg is over; learn the vehicle's acceleration from it."""
         if self._way is not None and not self._then and isinstance(leg := self._way.leg, Leg):
-            moved_s = now_s - self._way.begun_s - leg.settling_s
+            moved_s = now_s - self._begun_s - leg.settling_s
             found = acceleration_m_s2(leg.length_m, leg.ground_speed_m_s, moved_s)
             if found is not None:
                 self._accelerations_m_s2.append(found)
@@ -211,13 +211,9 @@ class MissionModel:
 
     def coming(self, position: Position, *, now_s: float, count: int) -> list[ExpectedCall]:
         """The next calls, at most `count`; empty if nothing is known."""
-        calls: list[ExpectedCall] = []
-        if self._place is not None and self._routine:
-            for call in self._calls(self._place, position, now_s):
-                calls.append(call)
-                if len(calls) == count:
-                    break
-        return calls
+        if self._place is None or not self._routine:
+            return []
+        return list(itertools.islice(self._calls(self._place, position, now_s), count))
 
     def rest(self, position: Position, *, now_s: float) -> list[ExpectedCall]:
         """The coming calls up to the end of the plan; empty if nothing is known, or the mission has left its plan."""
@@ -287,9 +283,8 @@ class MissionModel:
                     self._ways.clear()
                 way = self._way_of(self._legs_to(index, place, waypoint.position, waypoint.via, speed_m_s))
                 held_s = self.photo_s if self._flies_on and index and self._plan[index - 1].hold_s else 0.0
-                way = self._ways[index, speed_m_s] = structs.replace(
-                    way, duration_s=held_s + way.duration_s + waypoint.hold_s
-                )
+                way = _Way(held_s + way.duration_s + waypoint.hold_s, way.entered_s)
+                self._ways[index, speed_m_s] = way
             yield waypoint.position, way
             place = waypoint.position
 
@@ -300,28 +295,24 @@ class MissionModel:
         target: Position,
         via: Sequence[Via] = (),
         ground_speed_m_s: float | None = None,
-        *,
-        now_s: float = 0.0,
     ) -> list[PlannedLeg]:
         """The legs to the target, the waypoint of that index if it is one, by way of `via`; at least one."""
-        legs = self._via_legs(index - 1 if index else None, start, via, now_s=now_s)
+        legs = self._via_legs(index - 1 if index else None, start, via)
         if legs:
             start = legs[-1].end
-        if legs and index is not None:
-            ground_speed_m_s = ground_speed_m_s or self._plan[index].ground_speed_m_s
+            if index is not None:
+                ground_speed_m_s = ground_speed_m_s or self._plan[index].ground_speed_m_s
         section = None if index is None else self._section(index, ground_speed_m_s)
         leg = section or self._leg(distance_m(start, target), ground_speed_m_s)
-        return [*legs, PlannedLeg(start, target, leg, now_s)]
+        return [*legs, PlannedLeg(start, target, leg)]
 
-    def _via_legs(
-        self, index: int | None, start: Position, via: Sequence[Via], *, now_s: float = 0.0
-    ) -> list[PlannedLeg]:
+    def _via_legs(self, index: int | None, start: Position, via: Sequence[Via]) -> list[PlannedLeg]:
         """The legs over these places, from the waypoint of that index if it is one."""
         legs: list[PlannedLeg] = []
         for place in via:
             row = self._rest_of_row(index, place) if index is not None and not legs else None
             leg = row or self._leg(distance_m(start, place.position), place.ground_speed_m_s)
-            legs.append(PlannedLeg(start, place.position, leg, now_s, place.hold_s))
+            legs.append(PlannedLeg(start, place.position, leg, place.hold_s))
             start = place.position
         return legs
 

@@ -19,7 +19,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
 from operator import attrgetter, ge, le
 from types import MappingProxyType
 from typing import NamedTuple
@@ -126,9 +125,19 @@ def quickest(
     little_s = _LITTLE * max((call.local_s for call in calls), default=0.0)
     started = useful[server].bit if server in useful and ready_in_s <= useful[server].told_s else 0
     first = _Label(0.0, ready_in_s, server, started, ready_in_s, None)
-    labels_within = partial(
-        _through, stages, first, peers, gain_wait=gain_wait, stays=stays, most_labels=most_labels
-    )
+
+    def labels_within(most_s: float) -> list[_Label]:
+        """The labels after the last call that cost at most `most_s`."""
+        labels = [first]
+        for stage in stages:
+            stays_now = stays and labels[0] is first
+            labels = _over(stage, labels, peers, most_s=most_s, gain_wait=gain_wait, stays=stays_now)
+            if most_labels is not None and len(labels) > most_labels:
+                labels = sorted(labels, key=_cost_and_rest)[:most_labels]
+            if not labels:
+                break
+        return labels
+
     best = min(labels_within(least_s + little_s) or labels_within(math.inf), key=_cost_and_rest)
     return Schedule(_servers(best), best.cost_s)
 
@@ -165,7 +174,9 @@ def _useful(
             its_calls_s, its_head_starts_s = tracks[other]
             if (
                 name != server
-                and _is_no_worse(its.check, checks[name])
+                and its.check.stopped_s <= checks[name].stopped_s
+                and its.check.running_s <= checks[name].running_s
+                and its.check.runs_for_s >= checks[name].runs_for_s
                 and all(map(le, its_calls_s, calls_s))
                 and all(map(ge, its_head_starts_s, head_starts_s))
                 and (not peers or _is_no_lonelier(other, name, peers))
@@ -183,14 +194,6 @@ def _rank(track: _Track) -> tuple[int, float]:
     return -len(in_range), sum(in_range)
 
 
-def _is_no_worse(times: CheckTimes, others: CheckTimes) -> bool:
-    return (
-        times.stopped_s <= others.stopped_s
-        and times.running_s <= others.running_s
-        and times.runs_for_s >= others.runs_for_s
-    )
-
-
 def _is_no_lonelier(server: str, other: str, peers: Mapping[str, frozenset[str]]) -> bool:
     """Whether the server has all peers of `other`, and each server that can prepare `other` can prepare it."""
     nobody = frozenset[str]()
@@ -198,29 +201,6 @@ def _is_no_lonelier(server: str, other: str, peers: Mapping[str, frozenset[str]]
     return has_them and all(
         server in told for name, told in peers.items() if other in told and name != server
     )
-
-
-def _through(
-    stages: Sequence[_Stage],
-    first: _Label,
-    peers: Mapping[str, frozenset[str]],
-    most_s: float,
-    *,
-    gain_wait: float,
-    stays: bool,
-    most_labels: int | None,
-) -> list[_Label]:
-    """The labels after the last call that cost at most `most_s`."""
-    labels = [first]
-    for stage in stages:
-        labels = _over(
-            stage, labels, peers, most_s=most_s, gain_wait=gain_wait, stays=stays and labels[0] is first
-        )
-        if not labels:
-            break
-        if most_labels is not None and len(labels) > most_labels:
-            labels = sorted(labels, key=_cost_and_rest)[:most_labels]
-    return labels
 
 
 def _over(
