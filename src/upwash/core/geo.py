@@ -7,6 +7,7 @@ latitude the error stays below 0.1 % of the distance.
 
 from __future__ import annotations
 
+import cmath
 import itertools
 import math
 from collections.abc import Iterable, Iterator
@@ -28,6 +29,11 @@ class Position(msgspec.Struct, frozen=True, gc=False):
     east_m: Metres
     north_m: Metres
     altitude_m: Metres = 0.0
+
+    @property
+    def ground(self) -> complex:
+        """The place over the ground, as a complex number: east and north."""
+        return complex(self.east_m, self.north_m)
 
     def at_altitude(self, altitude_m: float) -> Position:
         """The same place over the ground, at that altitude above home."""
@@ -132,12 +138,11 @@ class Circle:
 
         A share is below 0 before the start, and above 1 behind the end. It is infinite for a way straight up.
         """
-        if (ground_m := ground_distance_m(start, end)) == 0:
+        back, to_centre = start.ground - end.ground, self.centre.ground - end.ground
+        if (ground_m := abs(back)) == 0:
             return (-math.inf, math.inf) if self.contains(start) else None
-        to_start = start.east_m - end.east_m, start.north_m - end.north_m
-        to_centre = self.centre.east_m - end.east_m, self.centre.north_m - end.north_m
-        along_m = (to_start[0] * to_centre[0] + to_start[1] * to_centre[1]) / ground_m
-        across_m2 = to_centre[0] ** 2 + to_centre[1] ** 2 - along_m**2
+        along_m = (back * to_centre.conjugate()).real / ground_m
+        across_m2 = to_centre.real**2 + to_centre.imag**2 - along_m**2
         if across_m2 > self.radius_m**2:
             return None
         half_m = math.sqrt(self.radius_m**2 - across_m2)
@@ -145,14 +150,8 @@ class Circle:
 
     def corners(self, sides: int) -> list[Position]:
         """The `sides` corners of a regular polygon on its border, anticlockwise from the east."""
-        angles = [math.tau * side / sides for side in range(sides)]
-        return [
-            Position(
-                self.centre.east_m + self.radius_m * math.cos(angle),
-                self.centre.north_m + self.radius_m * math.sin(angle),
-            )
-            for angle in angles
-        ]
+        rays = [cmath.rect(self.radius_m, math.tau * side / sides) for side in range(sides)]
+        return [Position(self.centre.east_m + ray.real, self.centre.north_m + ray.imag) for ray in rays]
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,9 +227,9 @@ def part_way(start: Position, end: Position, share: float) -> Position:
 
 def nearest_share(place: Position, start: Position, end: Position) -> float:
     """Where the straight way is nearest to the place over the ground, as a share of it from 0 to 1."""
-    east_m, north_m = end.east_m - start.east_m, end.north_m - start.north_m
-    square = east_m**2 + north_m**2
-    ahead_m2 = (place.east_m - start.east_m) * east_m + (place.north_m - start.north_m) * north_m
+    way = end.ground - start.ground
+    square = way.real**2 + way.imag**2
+    ahead_m2 = ((place.ground - start.ground) * way.conjugate()).real
     return min(1.0, max(0.0, ahead_m2 / square)) if square else 0.0
 
 

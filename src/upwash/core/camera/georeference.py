@@ -9,6 +9,7 @@ ground to first order. Vectors are east, north and up.
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -103,8 +104,30 @@ class PhotoGeometry(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def sight(self) -> Sight | Unplaced:
-        """The photo's geometry made ready for its boxes."""
-        return sight_of(self)
+        """The photo's geometry made ready for its boxes, or why nothing on it has a place."""
+        ground, lens, accuracy = self.ground, self.lens, self.accuracy
+        height_m = self.position.altitude_m - ground.altitude_m
+        if not height_m > _LOWEST_M:
+            return Unplaced("the drone was not above the ground")
+        if lens.fov_deg is None and lens.focal_px is None:
+            return Unplaced("the camera's lens is unknown")
+        if not lens.fits(self.size_px):
+            return Unplaced("the calibration is of pictures with another ratio of width to height")
+        tilt_deg, heading_deg, assumes = accuracy.tilt_deg, accuracy.heading_deg, ""
+        if lens.up_deg is not None:
+            attitude = Attitude(0.0, 0.0, lens.up_deg)
+        elif self.attitude is not None:
+            attitude = self.attitude
+        elif self.heading_deg is not None:
+            attitude = Attitude(0.0, 0.0, self.heading_deg)
+            tilt_deg, assumes = max(tilt_deg, _LEVEL_ASSUMED_DEG), "that the drone was level"
+        else:
+            attitude = Attitude(0.0, 0.0, 0.0)
+            tilt_deg, heading_deg = max(tilt_deg, _LEVEL_ASSUMED_DEG), _UNKNOWN_HEADING_DEG
+            assumes = "that the drone was level and its nose pointed north"
+        assumes = " and ".join(filter(None, (assumes, ground.assumes)))
+        right, down, ahead = (_turned(axis, attitude) for axis in lens.axes)
+        return Sight(self, (right, down, ahead), height_m, tilt_deg, heading_deg, assumes)
 
     def footprint_m(self) -> list[tuple[float, float]] | None:
         """The photo's corners on the ground, east and north of home, clockwise from its upper left.
@@ -152,10 +175,9 @@ class Sight:
 
     def _line_along(self, x: float, y: float) -> Vector | None:
         ground = self.photo.ground
-        right, down, ahead = self.axes
-        east = x * right[0] + y * down[0] + ahead[0]
-        north = x * right[1] + y * down[1] + ahead[1]
-        up = x * right[2] + y * down[2] + ahead[2]
+        east, north, up = (
+            x * right + y * down + ahead for right, down, ahead in zip(*self.axes, strict=True)
+        )
         sinks = ground.slope_east * east + ground.slope_north * north - up
         if not sinks > math.sin(math.radians(_LOWEST_SIGHT_DEG)) * math.hypot(east, north, up):
             return None
@@ -230,52 +252,13 @@ class Sight:
         return complex(east + share * line[0], north + share * line[1])
 
 
-def sight_of(photo: PhotoGeometry) -> Sight | Unplaced:
-    """The photo's geometry made ready for its boxes, or why nothing on it has a place."""
-    ground, lens, accuracy = photo.ground, photo.lens, photo.accuracy
-    height_m = photo.position.altitude_m - ground.altitude_m
-    if not height_m > _LOWEST_M:
-        return Unplaced("the drone was not above the ground")
-    if lens.fov_deg is None and lens.focal_px is None:
-        return Unplaced("the camera's lens is unknown")
-    if not lens.fits(photo.size_px):
-        return Unplaced("the calibration is of pictures with another ratio of width to height")
-    tilt_deg, heading_deg, assumes = accuracy.tilt_deg, accuracy.heading_deg, ""
-    if lens.up_deg is not None:
-        attitude = Attitude(0.0, 0.0, lens.up_deg)
-    elif photo.attitude is not None:
-        attitude = photo.attitude
-    elif photo.heading_deg is not None:
-        attitude = Attitude(0.0, 0.0, photo.heading_deg)
-        tilt_deg, assumes = max(tilt_deg, _LEVEL_ASSUMED_DEG), "that the drone was level"
-    else:
-        attitude = Attitude(0.0, 0.0, 0.0)
-        tilt_deg, heading_deg = max(tilt_deg, _LEVEL_ASSUMED_DEG), _UNKNOWN_HEADING_DEG
-        assumes = "that the drone was level and its nose pointed north"
-    assumes = " and ".join(filter(None, (assumes, ground.assumes)))
-    right, down, ahead = (_turned(axis, attitude) for axis in lens.axes)
-    return Sight(photo, (right, down, ahead), height_m, tilt_deg, heading_deg, assumes)
-
-
 def _turned(vector: Vector, attitude: Attitude) -> Vector:
     """A vector forward, right and down from a vehicle with that attitude: east, north and up."""
     forward, right, down = vector
-    roll, pitch, yaw = (
-        math.radians(angle) for angle in (attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg)
-    )
-    right, down = (
-        right * math.cos(roll) - down * math.sin(roll),
-        right * math.sin(roll) + down * math.cos(roll),
-    )
-    forward, down = (
-        forward * math.cos(pitch) + down * math.sin(pitch),
-        down * math.cos(pitch) - forward * math.sin(pitch),
-    )
-    return (
-        forward * math.sin(yaw) + right * math.cos(yaw),
-        forward * math.cos(yaw) - right * math.sin(yaw),
-        -down,
-    )
+    rolled = complex(right, down) * cmath.rect(1, math.radians(attitude.roll_deg))
+    pitched = complex(forward, rolled.imag) * cmath.rect(1, -math.radians(attitude.pitch_deg))
+    level = complex(rolled.real, pitched.real) * cmath.rect(1, -math.radians(attitude.yaw_deg))
+    return level.real, level.imag, -pitched.imag
 
 
 def _sum(errors: Iterable[complex]) -> tuple[float, float, float]:

@@ -74,10 +74,14 @@ class RowForecast(Struct, frozen=True, kw_only=True):
     ground_speed_m_s: float
     mission_s: float
     rows: tuple[RowAnswers, ...]
-    most_open: int
     stops: int
     waited_s: float
     turns_back: int
+
+    @property
+    def most_open(self) -> int:
+        """The most open answers on any row."""
+        return max(row.most_open for row in self.rows)
 
     @property
     def photos_per_s(self) -> float:
@@ -116,6 +120,7 @@ class _Flight:
         self._answering = Answering(
             mission.local_s, mission.servers, gain_switch=mission.gain_switch, newest=mission.newest
         )
+        self._gives_answers = mission.local_s < math.inf  # for which it waits then
         self._here = mission.start
         self._motion: Motion | None = None
         self._open: set[int] = set()
@@ -129,7 +134,7 @@ class _Flight:
             photo_s=mission.photo_s,
             home_s=mission.home_s if mission.returns else None,
         )
-        self._most_open = self._row_open = self._stops = self._turns_back = 0
+        self._row_open = self._stops = self._turns_back = 0
         self._waited_s = 0.0
 
     def flown(self) -> RowForecast:
@@ -143,7 +148,7 @@ class _Flight:
         last = self._here
         self._demanding += self._acts.all()
         self._meet()
-        if self._waits:
+        if self._gives_answers:
             self._wait_where_best()
         if not self._mission.returns:
             self._fly(last)
@@ -151,7 +156,6 @@ class _Flight:
             ground_speed_m_s=self._speed_m_s,
             mission_s=self._now_s + self._mission.home_s(self._here),
             rows=tuple(rows),
-            most_open=self._most_open,
             stops=self._stops,
             waited_s=self._waited_s,
             turns_back=self._turns_back,
@@ -176,11 +180,6 @@ class _Flight:
             answers_per_s=(could - could_before) / (ended_s - begun_s) if ended_s > begun_s else 0.0,
             most_open=self._row_open,
         )
-
-    @property
-    def _waits(self) -> bool:
-        """Whether the drone waits for answers, as for those that it can give itself."""
-        return self._mission.local_s < math.inf
 
     @property
     def _now_s(self) -> float:
@@ -232,31 +231,27 @@ class _Flight:
         if self._motion is not None and place == self._motion.end:
             self._rest(place)
 
-    def _row_end(self, index: int) -> Position | None:
-        """The end of the waypoint's row, if the drone is on that row, and the waypoint is ahead."""
+    def _leg_end(self, index: int) -> Position | None:
+        """The end of the waypoint's row, or the first spot on the way there where the drone rests for acts.
+
+        None if the drone is not on that row, or the waypoint is not ahead.
+        """
         plan, waypoint = self._mission.plan, self._mission.plan[index]
         if waypoint.row is None:
             return None
         start, end = waypoint.row
         is_on_row = index > 0 and plan[index - 1].row == waypoint.row
         is_on_row |= start is not None and distance_m(self._here, start) < _THERE_M
-        return end if is_on_row and passes(self._here, end, waypoint.position) else None
-
-    def _leg_end(self, index: int) -> Position | None:
-        """The same, or the first spot on the way there where it rests for acts."""
-        plan, end = self._mission.plan, self._row_end(index)
-        while end is not None and index < len(plan) and plan[index].row_end == end:
-            if self._acts.waits_after(index):
-                return plan[index].position
-            index += 1
-        return end
+        if not (is_on_row and passes(self._here, end, waypoint.position)):
+            return None
+        ahead = itertools.takewhile(lambda spot: plan[spot].row_end == end, range(index, len(plan)))
+        return next((plan[spot].position for spot in ahead if self._acts.waits_after(spot)), end)
 
     def _take_photo(self, photo: int) -> None:
         self._open.add(photo)
         self._row_open = max(self._row_open, len(self._open))
-        self._most_open = max(self._most_open, len(self._open))
         self._answering.take(photo, self._now_s + self._mission.photo_s)
-        if self._waits and len(self._open) >= self._mission.at_most:
+        if self._gives_answers and len(self._open) >= self._mission.at_most:
             self._stops += 1
             self._brake()
             self._wait_below(self._mission.at_most)

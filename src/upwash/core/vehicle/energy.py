@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 
 from msgspec import Struct
 
-from upwash.core.geo import Position, Velocity, ahead, ground_distance_m
+from upwash.core.geo import Position, Velocity, ahead
 from upwash.core.vehicle.return_place import ReturnPlace
 from upwash.core.vehicle.way_home import (
     LOOK_S,
@@ -204,21 +204,20 @@ class Wind:
         If both places are the same it is the loss in the worst direction, as a moving vehicle may come back from any
         side.
         """
-        length_m = ground_distance_m(start, end)
-        if length_m == 0:
+        way = end.ground - start.ground
+        if not way:
             reported_m_s = self._reported.ground_m_s if self._reported else 0.0
             return max(reported_m_s, *(short_m_s for _, _, short_m_s in self._slow), 0.0)
-        east, north = (end.east_m - start.east_m) / length_m, (end.north_m - start.north_m) / length_m
-        slow_m_s = [short_m_s * (way.real * east + way.imag * north) for _, way, short_m_s in self._slow]
-        return max(0.0, *slow_m_s, self._reported_against_m_s(east, north, speed_m_s))
+        way /= abs(way)
+        slow_m_s = [short_m_s * (slow * way.conjugate()).real for _, slow, short_m_s in self._slow]
+        return max(0.0, *slow_m_s, self._reported_against_m_s(way, speed_m_s))
 
-    def _reported_against_m_s(self, east: float, north: float, speed_m_s: float) -> float:
+    def _reported_against_m_s(self, way: complex, speed_m_s: float) -> float:
         if self._reported is None:
             return 0.0
-        head_m_s = -(self._reported.east_m_s * east + self._reported.north_m_s * north)
-        cross_m_s = abs(self._reported.east_m_s * north - self._reported.north_m_s * east)
-        ahead_m_s = math.sqrt(max(0.0, speed_m_s**2 - cross_m_s**2))  # with the nose into the wind
-        return speed_m_s - ahead_m_s + max(0.0, head_m_s)
+        blows = complex(self._reported.east_m_s, self._reported.north_m_s) * way.conjugate()
+        ahead_m_s = math.sqrt(max(0.0, speed_m_s**2 - blows.imag**2))  # with the nose into the wind
+        return speed_m_s - ahead_m_s + max(0.0, -blows.real)
 
 
 def in_battery(number: int | None) -> str:

@@ -161,12 +161,13 @@ def _distance_to_line_m(position: Position, start: Position, end: Position) -> f
 
 def _crossing_share(start: Position, end: Position, corner: Position, following: Position) -> float | None:
     """Where the leg crosses the side, as a share of its length from 0 to 1; None if it does not, or is parallel."""
-    east_m, north_m = end.east_m - start.east_m, end.north_m - start.north_m
-    side_east_m, side_north_m = following.east_m - corner.east_m, following.north_m - corner.north_m
-    slant = east_m * side_north_m - north_m * side_east_m
-    if slant == 0:
+    way, side = end.ground - start.ground, following.ground - corner.ground
+    to_corner = corner.ground - start.ground
+    if (slant := _cross(way, side)) == 0:
         return None
-    to_east_m, to_north_m = corner.east_m - start.east_m, corner.north_m - start.north_m
-    share = (to_east_m * side_north_m - to_north_m * side_east_m) / slant
-    side_share = (to_east_m * north_m - to_north_m * east_m) / slant
+    share, side_share = _cross(to_corner, side) / slant, _cross(to_corner, way) / slant
     return share if 0 <= share <= 1 and 0 <= side_share <= 1 and math.isfinite(share) else None
+
+
+def _cross(a: complex, b: complex) -> float:
+    return a.real * b.imag - a.imag * b.real
