@@ -133,6 +133,10 @@ class Circle:
         """Whether the position lies within the circle, its border included."""
         return ground_distance_m(self.centre, position) <= self.radius_m
 
+    def to_border_m(self, position: Position) -> float:
+        """Metres over the ground to its border."""
+        return abs(ground_distance_m(self.centre, position) - self.radius_m)
+
     def inside(self, start: Position, end: Position) -> tuple[float, float] | None:
         """Where the line over two places is within, from one share of their distance to another; None if nowhere.
 

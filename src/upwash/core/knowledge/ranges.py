@@ -92,11 +92,7 @@ class Ranges:
     def _look(self, name: str, position: Position) -> bool:
         """Whether the border of the area was crossed since the last test."""
         area = self._areas[name]
-        to_border_m = (
-            abs(ground_distance_m(area.centre, position) - area.radius_m)
-            if isinstance(area, Circle)
-            else math.inf
-        )
+        to_border_m = area.to_border_m(position) if isinstance(area, Circle) else math.inf
         heapq.heappush(self._due, (self._travelled_m + to_border_m - _ROUNDING_M, name))
         is_inside, was_inside = area.contains(position), name in self._inside
         if is_inside != was_inside:

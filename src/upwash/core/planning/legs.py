@@ -16,7 +16,7 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple, TypeAlias
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from upwash.core.geo import Circle, Position, Reach, distance_m, part_way
 
@@ -64,14 +64,17 @@ class Leg(Struct, frozen=True):
             return self.length_m - self.acceleration_m_s2 * left_s**2 / 2
         return self._top_m_s * (elapsed_s - ramp_s / 2)
 
-    def back_s(self, elapsed_s: float) -> float:
-        """Seconds to stop and fly back to the start, if the vehicle turns back `elapsed_s` after it has left."""
+    def stop(self, elapsed_s: float) -> tuple[float, float]:
+        """The seconds to rest of a vehicle that brakes `elapsed_s` after the start, and the metres to there."""
         left_s = max(0.0, self._moving_s - elapsed_s)
         speed_m_s = min(self._top_m_s, self.acceleration_m_s2 * min(elapsed_s, left_s))
         braking_s = speed_m_s / self.acceleration_m_s2
-        way_m = self.travelled_m(elapsed_s) + speed_m_s * braking_s / 2
-        back = Leg(way_m, self.ground_speed_m_s, self.acceleration_m_s2, self.settling_s)
-        return braking_s + back.duration_s
+        return braking_s, self.travelled_m(elapsed_s) + speed_m_s * braking_s / 2
+
+    def back_s(self, elapsed_s: float) -> float:
+        """Seconds to stop and fly back to the start, if the vehicle turns back `elapsed_s` after it has left."""
+        braking_s, way_m = self.stop(elapsed_s)
+        return braking_s + structs.replace(self, length_m=way_m).duration_s
 
     @property
     def _top_m_s(self) -> float:
@@ -117,14 +120,11 @@ class Motion(NamedTuple):
 
     def stop(self, now_s: float) -> tuple[float, Position]:
         """When and where the vehicle rests if it brakes at that time, or at its end if that is nearer."""
-        leg, flown_s = self.leg, now_s - self.begun_s
-        left_s = max(0.0, leg.duration_s - leg.settling_s - flown_s)
-        speed_m_s = min(leg.ground_speed_m_s, leg.acceleration_m_s2 * min(flown_s, left_s))
-        way_m = leg.travelled_m(flown_s) + speed_m_s**2 / (2 * leg.acceleration_m_s2)
+        leg = self.leg
+        braking_s, way_m = leg.stop(now_s - self.begun_s)
         if way_m >= leg.length_m - _ON_WAY_M:
             return self.begun_s + leg.duration_s, self.end
-        rests_s = now_s + speed_m_s / leg.acceleration_m_s2 + leg.settling_s
-        return rests_s, part_way(self.start, self.end, way_m / leg.length_m)
+        return now_s + braking_s + leg.settling_s, part_way(self.start, self.end, way_m / leg.length_m)
 
     def passes_s(self, spot: Position) -> float | None:
         """When it passes the spot, or arrives there; None if the spot is not on its way."""

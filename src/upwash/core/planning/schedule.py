@@ -96,7 +96,6 @@ class _Stage(NamedTuple):
 
 _Track = tuple[list[float], list[float]]  # a server's delays and head starts; inf and -inf where it has none
 _Arrival = tuple[_Label, float, float]  # at a call: what is left of the server's check, and when it is over
-_Served = tuple[float, float, int, int, float, _Label]  # a label in the making, with its number among others
 _cost_and_rest = attrgetter("cost_s", "ready_in_s")
 _MOST_STARTED = 2  # sets of servers that labels may have started the services of
 _ASKING_S = 1.0  # of a check, before which perhaps no service was started
@@ -244,8 +243,7 @@ def _over(
             left_s = check_s - head_start_s
             arrivals.append((label, left_s, called_s + left_s))
         served = _served(arrivals, offer, useful, local_s=local_s, longest_s=longest_s, most_s=most_s)
-        for cost_s, rest_s, _, started, since_s, label in _unbeaten(served):
-            after.append(_Label(cost_s, rest_s, server, started, since_s, label))
+        after += _unbeaten(served)
     return after
 
 
@@ -257,9 +255,9 @@ def _served(
     local_s: float,
     longest_s: float,
     most_s: float,
-) -> list[_Served]:
-    """The cost after the call for each arrival, with the rest of its check; those above `most_s` are left out."""
-    served: list[_Served] = []
+) -> list[_Label]:
+    """The label after the call for each arrival; those that cost more than `most_s` are left out."""
+    served = []
     call_s, told_s, bit = offer.call_s, useful.told_s, useful.bit
     ready_s = min(local_s, call_s)
     for label, left_s, since_s in arrivals:
@@ -271,7 +269,7 @@ def _served(
             cost_s, rest_s = label.cost_s + local_s, max(0.0, left_s - local_s)
         if cost_s <= most_s:
             started = label.started if rest_s > told_s else label.started | bit
-            served.append((cost_s, rest_s, len(served), started, since_s, label))
+            served.append(_Label(cost_s, rest_s, offer.server, started, since_s, label))
     return served
 
 
@@ -284,19 +282,19 @@ def _cheapest(labels: Sequence[_Label]) -> Sequence[_Label]:
     return [first, min(others, key=_cost_and_rest)] if others else [first]
 
 
-def _unbeaten(served: list[_Served]) -> list[_Served]:
-    """Drop arrivals that a cheaper arrival beats in the rest of the check and in started services."""
+def _unbeaten(served: list[_Label]) -> list[_Label]:
+    """Drop labels that a cheaper one beats in the rest of the check and in started services."""
     if len(served) <= 1:
         return served
-    best: list[_Served] = []
-    for one in sorted(served):
-        _, rest_s, _, started, _, _ = one
-        for _, its_rest_s, _, its_started, _, _ in best:
-            if its_rest_s <= rest_s and not started & ~its_started:
+    best: list[_Label] = []
+    for label in sorted(served, key=_cost_and_rest):
+        rest_s, started = label.ready_in_s, label.started
+        for other in best:
+            if other.ready_in_s <= rest_s and not started & ~other.started:
                 break
         else:
-            if len(best) < _MOST_STARTED or len({started, *(other[3] for other in best)}) <= _MOST_STARTED:
-                best.append(one)
+            if len(best) < _MOST_STARTED or len({started, *(each.started for each in best)}) <= _MOST_STARTED:
+                best.append(label)
     return best
 
 

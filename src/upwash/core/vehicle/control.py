@@ -111,21 +111,21 @@ class ControlChange(StrEnum):
     RESTARTED = "autopilot restarted"
 
 
-_BY_EVIDENCE = {
+_MODES = {
     ControlChange.MODE_CHANGED: Owner.UNKNOWN,
     ControlChange.MODE_SWITCHED: Owner.PILOT,
     ControlChange.MODE_COMMANDED: Owner.GROUND_STATION,
     ControlChange.MODE_FAILED_SAFE: Owner.FAILSAFE,
+}
+_BY_EVIDENCE = {
+    **_MODES,
     ControlChange.ARMED: Owner.UNKNOWN,
     ControlChange.ARMED_BY_REMOTE: Owner.PILOT,
     ControlChange.RESTARTED: Owner.UNKNOWN,
 }
 TRANSITIONS: Mapping[tuple[Owner, ControlChange], Owner] = {
     (Owner.NOBODY, ControlChange.CLAIMED): Owner.PROGRAM,
-    (Owner.NOBODY, ControlChange.MODE_CHANGED): Owner.NOBODY,  # a switch on the ground
-    (Owner.NOBODY, ControlChange.MODE_SWITCHED): Owner.NOBODY,
-    (Owner.NOBODY, ControlChange.MODE_COMMANDED): Owner.NOBODY,
-    (Owner.NOBODY, ControlChange.MODE_FAILED_SAFE): Owner.NOBODY,
+    **{(Owner.NOBODY, change): Owner.NOBODY for change in _MODES},  # a switch on the ground
     (Owner.NOBODY, ControlChange.ARMED): Owner.UNKNOWN,
     (Owner.NOBODY, ControlChange.ARMED_BY_REMOTE): Owner.PILOT,
     (Owner.NOBODY, ControlChange.FOUND_FAILING_SAFE): Owner.FAILSAFE,
@@ -287,13 +287,11 @@ class Latch:
         changed = report.armed and report.mode != before.mode  # disarmed it may go back to an earlier mode
         if changed or (report.failsafe and report.failsafe != before.failsafe):  # the cause may come late
             self._take_mode(report, now_s, "")
-        elif report.remote_moved and report.mode != self._mode and self._lost_lately(now_s):
-            why = f"the vehicle is in mode {report.mode} (the remote control moved)"
-            self._take(ControlChange.REMOTE_MOVED, why, now_s)
-
-    def _lost_lately(self, now_s: float) -> bool:
-        lost = self.control
-        return lost.owner is Owner.GROUND_STATION and now_s - lost.since_s <= _KNOWN_LATE_S
+        elif report.remote_moved and report.mode != self._mode:
+            lost = self.control
+            if lost.owner is Owner.GROUND_STATION and now_s - lost.since_s <= _KNOWN_LATE_S:
+                why = f"the vehicle is in mode {report.mode} (the remote control moved)"
+                self._take(ControlChange.REMOTE_MOVED, why, now_s)
 
     def _take_mode(self, report: Heartbeat, now_s: float, instead_of: str) -> None:
         if report.failsafe:

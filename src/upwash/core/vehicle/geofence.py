@@ -142,7 +142,7 @@ def _meets_leg(area: Polygon | Circle, start: Position, end: Position) -> bool:
 def _to_border_m(area: Polygon | Circle, position: Position) -> float:
     if isinstance(area, Polygon):
         return min(_distance_to_line_m(position, *side) for side in area.borders)
-    return abs(ground_distance_m(area.centre, position) - area.radius_m)
+    return area.to_border_m(position)
 
 
 def _clearly_apart(start: Position, end: Position, corner: Position, following: Position) -> bool:
