@@ -34,36 +34,36 @@ class Targets:
     """
 
     def __init__(self) -> None:
-        self._obeyed: Position | None = None  # None: a take-off, which reports no target
-        self._pending: Position | None = None
-        self._is_pending = False
-        self._is_known = False  # what it steers to
+        # The last command, and the one on its way: () without one, None for a take-off, which reports no target.
+        self._obeyed: tuple[Position | None, ...] = ()
+        self._pending: tuple[Position | None, ...] = ()
 
     def send(self, place: Position | None) -> None:
         """Note that a command to `place` is about to be sent; None for a take-off, which has no target."""
-        self._pending, self._is_pending = place, True
+        self._pending = (place,)
 
     def settle(self, *, obeyed: bool) -> None:
         """Note whether the vehicle obeyed the last command or refused it."""
-        if obeyed and self._is_pending:
-            self._obeyed, self._is_known = self._pending, True
-        self._is_pending = False
+        if obeyed:
+            self._obeyed = self._pending or self._obeyed
+        self._pending = ()
 
     def difference(self, reported: Position | None) -> str:
         """How a reported target, None for a velocity, differs from the commands; "" if it does not."""
-        if not self._is_known:
-            if reported is not None and not self._is_pending:
-                self._obeyed, self._is_known = reported, True
+        if not self._obeyed:
+            if reported is not None and not self._pending:
+                self._obeyed = (reported,)
             return ""
-        expected = [self._obeyed, *([self._pending] if self._is_pending else [])]
         if reported is None:
-            return "" if self._is_pending else "it follows a velocity that the program did not command"
+            return "" if self._pending else "it follows a velocity that the program did not command"
+        expected = (*self._obeyed, *self._pending)
         if any(place is not None and distance_m(place, reported) <= _SAME_PLACE_M for place in expected):
             return ""
         there = f"{reported.east_m:.0f} m east, {reported.north_m:.0f} m north"
-        if self._obeyed is None:
+        (obeyed,) = self._obeyed
+        if obeyed is None:
             return f"it was sent to {there}, which the program did not command"
-        apart_m = distance_m(self._obeyed, reported)
+        apart_m = distance_m(obeyed, reported)
         return f"it was sent to {there}, {apart_m:.0f} m from where the program sent it"
 
 
