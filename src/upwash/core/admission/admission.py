@@ -132,8 +132,7 @@ class AdmissionController:
 
     def leave(self, server: str, drone: Client, *, now_s: float) -> list[Command]:
         """Free the drone's slot, or its place in the queue; return the commands that follow."""
-        at = self._servers.get(server)
-        if at is None:
+        if (at := self._servers.get(server)) is None:
             return []
         at.turns.gave_up(drone.name)
         return [*at.leases.end(lambda lease: lease.drone == drone, now_s=now_s)]

@@ -289,16 +289,16 @@ class HostedServer:
 
     def status(self, *, now_s: float) -> ServerStatus:
         """The server's part of the status page, with withdrawn services whose instance has not ended."""
-        places = [place for _, place in sorted(self._places.items())]
+        shown = [
+            place
+            for service, place in sorted(self._places.items())
+            if service in self.offer.images or place.state is not InstanceState.ABSENT
+        ]
         return ServerStatus(
             self.name,
             self.slots,
             self.leases.status(now_s=now_s),
-            [
-                place.status(now_s=now_s)
-                for place in places
-                if place.service in self.offer.images or place.state is not InstanceState.ABSENT
-            ],
+            [place.status(now_s=now_s) for place in shown],
             slots_why=self._measured.why if self.offer.slots == "auto" else "configured",
             turn_s=self.offer.turn_s if math.isfinite(self.offer.turn_s) else None,
             turns_ended=self._turns_ended,

@@ -117,17 +117,13 @@ class Usage:
 
     def drones(self, *, now_s: float) -> list[DroneUsage]:
         """The usage of each drone by name."""
-        slots_s = {name: now_s - slot.since_s for name, slot in self._slots.items()}
-        return [
-            DroneUsage(
-                name,
-                team_of(name),
-                slots_s.get(name),
-                use.slot_s + slots_s.get(name, 0.0),
-                *use.counts(now_s),
-            )
-            for name, use in sorted(self._drones.items())
-        ]
+        told = []
+        for name, use in sorted(self._drones.items()):
+            slot = self._slots.get(name)
+            holds_s = None if slot is None else now_s - slot.since_s
+            slot_s = use.slot_s + (holds_s or 0.0)
+            told.append(DroneUsage(name, team_of(name), holds_s, slot_s, *use.counts(now_s)))
+        return told
 
     def teams(self, *, now_s: float) -> list[TeamUsage]:
         """The usage of each team by name; forgotten drones count."""
