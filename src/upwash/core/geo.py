@@ -30,11 +30,6 @@ class Position(msgspec.Struct, frozen=True, gc=False):
     north_m: Metres
     altitude_m: Metres = 0.0
 
-    @property
-    def ground(self) -> complex:
-        """The place over the ground, as a complex number: east and north."""
-        return complex(self.east_m, self.north_m)
-
     def at_altitude(self, altitude_m: float) -> Position:
         """The same place over the ground, at that altitude above home."""
         return Position(self.east_m, self.north_m, altitude_m)
@@ -111,16 +106,6 @@ class Waypoint:
     row_start: Position | None = None
     via: tuple[Via, ...] = ()
 
-    @property
-    def row(self) -> tuple[Position | None, Position] | None:
-        """What the spots of one row have in common; None of a place where the drone rests."""
-        return None if self.row_end is None else (self.row_start, self.row_end)
-
-    @property
-    def first(self) -> Via | Waypoint:
-        """The first place on the way there from the waypoint before."""
-        return self.via[0] if self.via else self
-
 
 @dataclass(frozen=True, slots=True)
 class Circle:
@@ -132,25 +117,6 @@ class Circle:
     def contains(self, position: Position) -> bool:
         """Whether the position lies within the circle, its border included."""
         return ground_distance_m(self.centre, position) <= self.radius_m
-
-    def to_border_m(self, position: Position) -> float:
-        """Metres over the ground to its border."""
-        return abs(ground_distance_m(self.centre, position) - self.radius_m)
-
-    def inside(self, start: Position, end: Position) -> tuple[float, float] | None:
-        """Where the line over two places is within, from one share of their distance to another; None if nowhere.
-
-        A share is below 0 before the start, and above 1 behind the end. It is infinite for a way straight up.
-        """
-        back, to_centre = start.ground - end.ground, self.centre.ground - end.ground
-        if (ground_m := abs(back)) == 0:
-            return (-math.inf, math.inf) if self.contains(start) else None
-        along_m = (back * to_centre.conjugate()).real / ground_m
-        across_m2 = to_centre.real**2 + to_centre.imag**2 - along_m**2
-        if across_m2 > self.radius_m**2:
-            return None
-        half_m = math.sqrt(self.radius_m**2 - across_m2)
-        return 1 - (along_m + half_m) / ground_m, 1 - (along_m - half_m) / ground_m
 
     def corners(self, sides: int) -> list[Position]:
         """The `sides` corners of a regular polygon on its border, anticlockwise from the east."""
@@ -201,9 +167,45 @@ class LocalFrame:
         return math.radians(normal_m * math.cos(latitude)), math.radians(meridian_m)
 
 
+def row_of(waypoint: Waypoint) -> tuple[Position | None, Position] | None:
+    """What the spots of one row have in common; None of a place where the drone rests."""
+    return None if waypoint.row_end is None else (waypoint.row_start, waypoint.row_end)
+
+
+def first_on_way(waypoint: Waypoint) -> Via | Waypoint:
+    """The first place on the way to the waypoint from the one before."""
+    return waypoint.via[0] if waypoint.via else waypoint
+
+
+def ground_way(start: Position, end: Position) -> complex:
+    """The way over the ground from one place to another: metres east and north."""
+    return complex(end.east_m - start.east_m, end.north_m - start.north_m)
+
+
 def ground_distance_m(a: Position, b: Position) -> float:
     """Distance over the ground, without the altitudes."""
     return math.hypot(a.east_m - b.east_m, a.north_m - b.north_m)
+
+
+def to_border_m(circle: Circle, place: Position) -> float:
+    """Metres over the ground to the border of a circle."""
+    return abs(ground_distance_m(circle.centre, place) - circle.radius_m)
+
+
+def inside(circle: Circle, start: Position, end: Position) -> tuple[float, float] | None:
+    """Where the line over two places is in a circle, from one share of their distance to another; None if nowhere.
+
+    A share is below 0 before the start, and above 1 behind the end. It is infinite for a way straight up.
+    """
+    back, to_centre = ground_way(end, start), ground_way(end, circle.centre)
+    if (ground_m := abs(back)) == 0:
+        return (-math.inf, math.inf) if circle.contains(start) else None
+    along_m = (back * to_centre.conjugate()).real / ground_m
+    across_m2 = to_centre.real**2 + to_centre.imag**2 - along_m**2
+    if across_m2 > circle.radius_m**2:
+        return None
+    half_m = math.sqrt(circle.radius_m**2 - across_m2)
+    return 1 - (along_m + half_m) / ground_m, 1 - (along_m - half_m) / ground_m
 
 
 def ahead(place: Position, velocity: Velocity, time_s: float) -> Position:
@@ -231,9 +233,9 @@ def part_way(start: Position, end: Position, share: float) -> Position:
 
 def nearest_share(place: Position, start: Position, end: Position) -> float:
     """Where the straight way is nearest to the place over the ground, as a share of it from 0 to 1."""
-    way = end.ground - start.ground
+    way = ground_way(start, end)
     square = way.real**2 + way.imag**2
-    ahead_m2 = ((place.ground - start.ground) * way.conjugate()).real
+    ahead_m2 = (ground_way(start, place) * way.conjugate()).real
     return min(1.0, max(0.0, ahead_m2 / square)) if square else 0.0
 
 

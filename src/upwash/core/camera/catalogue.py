@@ -52,7 +52,7 @@ class Sighting:
     own_m: float = field(init=False)
 
     def __post_init__(self) -> None:
-        self.at = self.place.position.ground
+        self.at = complex(self.place.position.east_m, self.place.position.north_m)
         self.own_m = math.hypot(self.place.apart_m, _JITTER_M)
 
 

@@ -16,7 +16,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 from msgspec import Struct
 
-from upwash.core.geo import Position, Waypoint, distance_m
+from upwash.core.geo import Position, Waypoint, distance_m, first_on_way, row_of
 from upwash.core.planning.legs import Pace, passes
 
 T = TypeVar("T")
@@ -200,12 +200,12 @@ class Acts(Generic[T]):
         """Where the gap begins, and where it ends; None: on the ground."""
         if number + 1 == len(self._plan):
             return self._last[0], None
-        return self._plan[number].position, self._plan[number + 1].first.position
+        return self._plan[number].position, first_on_way(self._plan[number + 1]).position
 
     def _is_inside(self, number: int) -> bool:
         """Whether the gap is between two spots of a row."""
-        row = self._plan[number].row if number + 1 < len(self._plan) else None
-        return row is not None and row == self._plan[number + 1].row
+        row = row_of(self._plan[number]) if number + 1 < len(self._plan) else None
+        return row is not None and row == row_of(self._plan[number + 1])
 
     def _run(self, number: int) -> tuple[Position, Position]:
         """The places on a row, around a gap, where the drone rests in any case."""

@@ -18,7 +18,7 @@ from typing import NamedTuple, TypeAlias
 
 from msgspec import Struct, structs
 
-from upwash.core.geo import Circle, Position, Reach, distance_m, part_way
+from upwash.core.geo import Circle, Position, Reach, distance_m, inside, part_way
 
 Stay: TypeAlias = tuple[float, float]  # in a range, from one time to another
 ALWAYS: Stay = (-math.inf, math.inf)
@@ -144,10 +144,10 @@ def stay_in(motion: Motion, area: Reach) -> Stay | None:
     """When the leg is in the area, up to for ever if it ends there; None if it never is."""
     if not isinstance(area, Circle):
         return ALWAYS
-    inside = area.inside(motion.start, motion.end)
-    if inside is None or inside[1] < 0 or inside[0] > 1:
+    shares = inside(area, motion.start, motion.end)
+    if shares is None or shares[1] < 0 or shares[0] > 1:
         return None
-    (first, last), length_m = inside, motion.leg.length_m
+    (first, last), length_m = shares, motion.leg.length_m
     return (
         -math.inf if first <= 0 else motion.begun_s + motion.leg.reached_s(first * length_m),
         math.inf if last >= 1 else motion.begun_s + motion.leg.reached_s(last * length_m),
@@ -180,8 +180,8 @@ def entered_m(start: Position, end: Position, area: Reach) -> float | None:
         return None
     if not isinstance(area, Circle) or area.contains(start):
         return 0.0
-    inside = area.inside(start, end)
-    return distance_m(start, end) * (1.0 if inside is None else min(1.0, max(0.0, inside[0])))
+    shares = inside(area, start, end)
+    return distance_m(start, end) * (1.0 if shares is None else min(1.0, max(0.0, shares[0])))
 
 
 class Pace(Struct, frozen=True):

@@ -15,7 +15,7 @@ from statistics import fmean
 
 from msgspec import Struct
 
-from upwash.core.geo import Position, Reach, Via, Waypoint, distance_m
+from upwash.core.geo import Position, Reach, Via, Waypoint, distance_m, row_of
 from upwash.core.knowledge.estimates import WINDOW_LENGTH
 from upwash.core.knowledge.ranges import AreaIndex
 from upwash.core.operation import Operation
@@ -377,7 +377,8 @@ def _row_starts(plan: Sequence[Waypoint]) -> Iterator[tuple[int, Position]]:
     """For each waypoint of the plan, the index of the first waypoint of its row, and where the leg over it begins."""
     first, start, before = 0, Position(0.0, 0.0), None
     for index, waypoint in enumerate(plan):
-        if before is None or waypoint.via or waypoint.row is None or before.row != waypoint.row:
+        row = None if before is None or waypoint.via else row_of(before)
+        if row is None or row != row_of(waypoint):
             rests_at = waypoint.via[-1] if waypoint.via else before
             first, start = index, waypoint.position
             if waypoint.row_start is not None and rests_at and waypoint.row_start == rests_at.position:

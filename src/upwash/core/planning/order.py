@@ -15,7 +15,7 @@ from dataclasses import replace
 
 from msgspec import Struct
 
-from upwash.core.geo import Position, Reach, Waypoint
+from upwash.core.geo import Position, Reach, Waypoint, ground_way
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import Server
 from upwash.core.planning.forecast import make_forecast
@@ -75,8 +75,8 @@ def _rows(given: Sequence[Waypoint]) -> _Lines:
     if len(given) < 2:
         return []
     # In a full grid the waypoint nearest to any other one is its neighbour in a row or in a column.
-    first, *others = (waypoint.position.ground for waypoint in given)
-    to_near = min((place - first for place in others), key=abs)
+    first, *others = (waypoint.position for waypoint in given)
+    to_near = min((ground_way(first, place) for place in others), key=abs)
     if not to_near:
         return []
     same_m, turned = _SAME_LINE * abs(to_near), math.remainder(cmath.phase(to_near), math.pi / 2)

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from msgspec import Struct
 
-from upwash.core.geo import Circle, Position, Via, Waypoint, distance_m
+from upwash.core.geo import Circle, Position, Via, Waypoint, distance_m, first_on_way, row_of
 from upwash.core.planning.acts import Acts, Way, cheapest
 from upwash.core.planning.answer_stops import AnswerStops
 from upwash.core.planning.answering import Answering, ServerBelief
@@ -140,7 +140,7 @@ class _Flight:
     def flown(self) -> RowForecast:
         plan = self._mission.plan
         self._hover(self._mission.takeoff_s)
-        spots = itertools.groupby(range(len(plan)), key=lambda index: plan[index].row or index)
+        spots = itertools.groupby(range(len(plan)), key=lambda index: row_of(plan[index]) or index)
         rows = [self._flown_row(number, list(row)) for number, (_, row) in enumerate(spots)]
         self._target = len(plan)
         self._fly_over(self._mission.leaving)
@@ -192,14 +192,14 @@ class _Flight:
         if index and self._acts.waits_after(index - 1):
             self._demanding += self._acts.due_after(index - 1)
             self._hover(self._mission.photo_s)
-            self._meet(Way(self._here, index, waypoint.first.position))
+            self._meet(Way(self._here, index, first_on_way(waypoint).position))
         self._fly_over(waypoint.via)
         self._get_to(waypoint.position, self._leg_end(index) or waypoint.position, waypoint.ground_speed_m_s)
         if self._motion is None:
             self._hover(waypoint.hold_s)
             if index + 1 < len(plan) and not self._acts.waits_after(index):
                 following = plan[index + 1]
-                first = following.first
+                first = first_on_way(following)
                 end = None if following.via else self._leg_end(index + 1)
                 self._set_off(end or first.position, first.ground_speed_m_s)
 
@@ -237,10 +237,10 @@ class _Flight:
         None if the drone is not on that row, or the waypoint is not ahead.
         """
         plan, waypoint = self._mission.plan, self._mission.plan[index]
-        if waypoint.row is None:
+        if (row := row_of(waypoint)) is None:
             return None
-        start, end = waypoint.row
-        is_on_row = index > 0 and plan[index - 1].row == waypoint.row
+        start, end = row
+        is_on_row = index > 0 and row_of(plan[index - 1]) == row
         is_on_row |= start is not None and distance_m(self._here, start) < _THERE_M
         if not (is_on_row and passes(self._here, end, waypoint.position)):
             return None

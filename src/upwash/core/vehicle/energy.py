@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 
 from msgspec import Struct
 
-from upwash.core.geo import Position, Velocity, ahead
+from upwash.core.geo import Position, Velocity, ahead, ground_way
 from upwash.core.vehicle.return_place import ReturnPlace
 from upwash.core.vehicle.way_home import (
     LOOK_S,
@@ -204,7 +204,7 @@ class Wind:
         If both places are the same it is the loss in the worst direction, as a moving vehicle may come back from any
         side.
         """
-        way = end.ground - start.ground
+        way = ground_way(start, end)
         if not way:
             reported_m_s = self._reported.ground_m_s if self._reported else 0.0
             return max(reported_m_s, *(short_m_s for _, _, short_m_s in self._slow), 0.0)

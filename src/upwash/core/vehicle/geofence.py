@@ -11,7 +11,16 @@ from collections.abc import Iterator, Sequence
 
 from msgspec import Struct
 
-from upwash.core.geo import Circle, Position, ground_distance_m, nearest_share, part_way
+from upwash.core.geo import (
+    Circle,
+    Position,
+    ground_distance_m,
+    ground_way,
+    inside,
+    nearest_share,
+    part_way,
+    to_border_m,
+)
 
 _ON_THE_BORDER_M = 1e-3  # a tenth of the step of coordinates in plans
 
@@ -130,7 +139,7 @@ def _contain_leg(areas: Sequence[Polygon | Circle], start: Position, end: Positi
 def _met_at(area: Polygon | Circle, start: Position, end: Position) -> Iterator[float]:
     if isinstance(area, Polygon):
         return area.met_at(start, end)
-    return (share for share in area.inside(start, end) or () if 0 <= share <= 1)
+    return (share for share in inside(area, start, end) or () if 0 <= share <= 1)
 
 
 def _meets_leg(area: Polygon | Circle, start: Position, end: Position) -> bool:
@@ -142,7 +151,7 @@ def _meets_leg(area: Polygon | Circle, start: Position, end: Position) -> bool:
 def _to_border_m(area: Polygon | Circle, position: Position) -> float:
     if isinstance(area, Polygon):
         return min(_distance_to_line_m(position, *side) for side in area.borders)
-    return area.to_border_m(position)
+    return to_border_m(area, position)
 
 
 def _clearly_apart(start: Position, end: Position, corner: Position, following: Position) -> bool:
@@ -161,8 +170,7 @@ def _distance_to_line_m(position: Position, start: Position, end: Position) -> f
 
 def _crossing_share(start: Position, end: Position, corner: Position, following: Position) -> float | None:
     """Where the leg crosses the side, as a share of its length from 0 to 1; None if it does not, or is parallel."""
-    way, side = end.ground - start.ground, following.ground - corner.ground
-    to_corner = corner.ground - start.ground
+    way, side, to_corner = ground_way(start, end), ground_way(corner, following), ground_way(start, corner)
     if (slant := _cross(way, side)) == 0:
         return None
     share, side_share = _cross(to_corner, side) / slant, _cross(to_corner, way) / slant
