@@ -7,7 +7,7 @@ import random
 
 import pytest
 
-from upwash.core.geo import Measured
+from upwash.core.geo import Measured, Position
 from upwash.core.planning.answering import Answering, ServerBelief
 from upwash.core.planning.earliest import first_taken
 
@@ -46,7 +46,7 @@ def answered_s(local_s: float, remote_s: float | None, photos: list[float], *, n
     """When the last photo is answered, of those taken at these times; the server is there all the time."""
     servers = {} if remote_s is None else {"s1": ServerBelief(Measured(), remote_s, 0.0, 0.0)}
     answering = Answering(local_s, servers, gain_switch=0.25, newest=newest)
-    answering.moves(dict.fromkeys(answering.servers, (-NEVER, NEVER)))
+    answering.rests(Position(0.0, 0.0))
     for number, at_s in enumerate(photos):
         answering.take(number, at_s)
     for _ in photos:

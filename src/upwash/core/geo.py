@@ -7,6 +7,7 @@ latitude the error stays below 0.1 % of the distance.
 
 from __future__ import annotations
 
+import cmath
 import itertools
 import math
 from collections.abc import Iterable, Iterator
@@ -119,14 +120,8 @@ class Circle:
 
     def corners(self, sides: int) -> list[Position]:
         """The `sides` corners of a regular polygon on its border, anticlockwise from the east."""
-        angles = [math.tau * side / sides for side in range(sides)]
-        return [
-            Position(
-                self.centre.east_m + self.radius_m * math.cos(angle),
-                self.centre.north_m + self.radius_m * math.sin(angle),
-            )
-            for angle in angles
-        ]
+        rays = [cmath.rect(self.radius_m, math.tau * side / sides) for side in range(sides)]
+        return [Position(self.centre.east_m + ray.real, self.centre.north_m + ray.imag) for ray in rays]
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,9 +167,45 @@ class LocalFrame:
         return math.radians(normal_m * math.cos(latitude)), math.radians(meridian_m)
 
 
+def row_of(waypoint: Waypoint) -> tuple[Position | None, Position] | None:
+    """What the spots of one row have in common; None of a place where the drone rests."""
+    return None if waypoint.row_end is None else (waypoint.row_start, waypoint.row_end)
+
+
+def first_on_way(waypoint: Waypoint) -> Via | Waypoint:
+    """The first place on the way to the waypoint from the one before."""
+    return waypoint.via[0] if waypoint.via else waypoint
+
+
+def ground_way(start: Position, end: Position) -> complex:
+    """The way over the ground from one place to another: metres east and north."""
+    return complex(end.east_m - start.east_m, end.north_m - start.north_m)
+
+
 def ground_distance_m(a: Position, b: Position) -> float:
     """Distance over the ground, without the altitudes."""
     return math.hypot(a.east_m - b.east_m, a.north_m - b.north_m)
+
+
+def to_border_m(circle: Circle, place: Position) -> float:
+    """Metres over the ground to the border of a circle."""
+    return abs(ground_distance_m(circle.centre, place) - circle.radius_m)
+
+
+def inside(circle: Circle, start: Position, end: Position) -> tuple[float, float] | None:
+    """Where the line over two places is in a circle, from one share of their distance to another; None if nowhere.
+
+    A share is below 0 before the start, and above 1 behind the end. It is infinite for a way straight up.
+    """
+    back, to_centre = ground_way(end, start), ground_way(end, circle.centre)
+    if (ground_m := abs(back)) == 0:
+        return (-math.inf, math.inf) if circle.contains(start) else None
+    along_m = (back * to_centre.conjugate()).real / ground_m
+    across_m2 = to_centre.real**2 + to_centre.imag**2 - along_m**2
+    if across_m2 > circle.radius_m**2:
+        return None
+    half_m = math.sqrt(circle.radius_m**2 - across_m2)
+    return 1 - (along_m + half_m) / ground_m, 1 - (along_m - half_m) / ground_m
 
 
 def ahead(place: Position, velocity: Velocity, time_s: float) -> Position:
@@ -198,6 +229,14 @@ def part_way(start: Position, end: Position, share: float) -> Position:
         start.north_m + share * (end.north_m - start.north_m),
         start.altitude_m + share * (end.altitude_m - start.altitude_m),
     )
+
+
+def nearest_share(place: Position, start: Position, end: Position) -> float:
+    """Where the straight way is nearest to the place over the ground, as a share of it from 0 to 1."""
+    way = ground_way(start, end)
+    square = way.real**2 + way.imag**2
+    ahead_m2 = (ground_way(start, place) * way.conjugate()).real
+    return min(1.0, max(0.0, ahead_m2 / square)) if square else 0.0
 
 
 def rounded(position: Position) -> Position:

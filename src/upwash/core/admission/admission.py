@@ -21,9 +21,8 @@ Laws:
 
 from __future__ import annotations
 
-import itertools
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from msgspec import Struct
 
@@ -37,9 +36,10 @@ from upwash.core.admission.clients import (
     TeamUsage,
 )
 from upwash.core.admission.instances import InstanceState
-from upwash.core.admission.leases import Admit
+from upwash.core.admission.leases import Admit, Lease
 from upwash.core.admission.peers import Peers
 from upwash.core.admission.server import Command, Denied, HostedServer, ServerOffer
+from upwash.core.admission.usage import LeaseEnded
 
 _ROLES = {Role.OPERATOR: "an operator", Role.SERVER: "a server"}
 _ELSEWHERE = ""  # where a request is counted that is for no server here
@@ -132,8 +132,7 @@ class AdmissionController:
 
     def leave(self, server: str, drone: Client, *, now_s: float) -> list[Command]:
         """Free the drone's slot, or its place in the queue; return the commands that follow."""
-        at = self._servers.get(server)
-        if at is None:
+        if (at := self._servers.get(server)) is None:
             return []
         at.turns.gave_up(drone.name)
         return [*at.leases.end(lambda lease: lease.drone == drone, now_s=now_s)]
@@ -152,7 +151,7 @@ class AdmissionController:
             self._mistrust(drone)
             or self._obstacle(server, (), drone)
             or self._peers.unknown(peer)
-            or self._stranger(server, drone)
+            or ("" if self._servers[server].leases.is_of(drone) else f"{drone.name} has no lease on {server}")
             or self._peers.elsewhere(drone.name, peer, now_s=now_s)
         )
         if why:
@@ -184,9 +183,10 @@ class AdmissionController:
         wanted = sorted(set(services))
         if (denied := self._deny(server, wanted, drone, now_s)) is not None:
             return denied, commands
-        if why := self._impostor(server, drone):
-            return self._denied(server, drone.name, why, now_s), commands
         at = self._servers[server]
+        if (lease := at.leases.of(drone.name)) is not None and not lease.held_by and lease.drone != drone:
+            why = f"{drone.name} is here already, with another certificate"
+            return self._denied(server, drone.name, why, now_s), commands
         if why := self._peers.mistrust(peer.name, now_s=now_s) or at.no_hold(drone, peer.name, now_s=now_s):
             return self._denied(server, peer.name, why, now_s), commands
         until_s = now_s + min(self.settings.hold_s, for_s)
@@ -199,13 +199,10 @@ class AdmissionController:
         self, server: str, drones: Iterable[Client], services: Iterable[str], *, now_s: float
     ) -> list[Command]:
         """Serve the drones of the daemon that this daemon replaces; start the services that ran there."""
-        at = self._servers.get(server)
-        if at is None:
+        if (at := self._servers.get(server)) is None:
             return []
-        commands: list[Command] = []
-        for drone in drones:
-            if not self._mistrust(drone):
-                commands += self._renew(at, drone, now_s)
+        trusted = [drone for drone in drones if not self._mistrust(drone)]
+        commands: list[Command] = [command for drone in trusted for command in self._renew(at, drone, now_s)]
         for service in sorted(at.offer.images & frozenset(services)):
             commands += at.begin(service)[1]
         return commands
@@ -228,25 +225,23 @@ class AdmissionController:
         serves until the new one is ready. With fewer slots than before, each drone keeps its slot until its lease
         ends.
         """
-        changes = (self._servers[name].change(offer, outdated=outdated) for name, offer in offers.items())
-        return list(itertools.chain.from_iterable(changes))
+        changes = [self._servers[name].change(offer, outdated=outdated) for name, offer in offers.items()]
+        return [command for change in changes for command in change]
 
     def revoke(self, certificates: frozenset[str], *, now_s: float) -> list[Command]:
         """Refuse exactly these certificates from now on; end their leases."""
         self._revoked = certificates
-        ended = (server.leases.revoke(certificates, now_s=now_s) for server in self._servers.values())
-        return list(itertools.chain.from_iterable(ended))
+        ended = [server.leases.revoke(certificates, now_s=now_s) for server in self._servers.values()]
+        return [command for commands in ended for command in commands]
 
     def close(self, why: str) -> list[Command]:
         """Serve no drone from now on, for the first reason given; every instance ends its calls and stops."""
         self.closing = self.closing or why
-        stops = (server.close(self.closing) for server in self._servers.values())
-        return list(itertools.chain.from_iterable(stops))
+        return [stop for server in self._servers.values() for stop in server.close(self.closing)]
 
     def end_leases(self, *, now_s: float) -> list[Command]:
         """End every lease, as the daemon ends."""
-        ended = (server.leases.end(lambda _: True, now_s=now_s) for server in self._servers.values())
-        return list(itertools.chain.from_iterable(ended))
+        return self._end(lambda _: True, now_s)
 
     # --- what ends by itself --------------------------------------------------------------------------------
 
@@ -311,17 +306,6 @@ class AdmissionController:
             return f"the certificate of {client.name} is revoked"
         return ""
 
-    def _stranger(self, name: str, drone: Client) -> str:
-        lease = self._servers[name].leases.of(drone.name)
-        return f"{drone.name} has no lease on {name}" if lease is None or lease.drone != drone else ""
-
-    def _impostor(self, name: str, drone: Client) -> str:
-        """Why no slot is held for a drone that holds a lease itself, under another certificate."""
-        lease = self._servers[name].leases.of(drone.name)
-        if lease is None or lease.held_by or lease.drone == drone:
-            return ""
-        return f"{drone.name} is here already, with another certificate"
-
     def _obstacle(self, name: str, services: Iterable[str], drone: Client) -> str:
         server = self._servers.get(name)
         if server is None:
@@ -354,11 +338,14 @@ class AdmissionController:
         return server.renew(drone, now_s=now_s)
 
     def _end_leases(self, now_s: float) -> list[Command]:
+        """End leases whose time is over; a drone that was expected in vain counts against its peer."""
         self._peers.forget(now_s=now_s)
-        commands: list[Command] = []
-        for server in self._servers.values():
-            for lease in server.leases.over(now_s):
-                if lease.held_by:
-                    self._peers.missed(lease.held_by, now_s=now_s)
-            commands += server.leases.end(lambda lease: lease.until_s <= now_s, now_s=now_s)
-        return commands
+        ended = self._end(lambda lease: lease.until_s <= now_s, now_s)
+        for end in ended:
+            if isinstance(end, LeaseEnded) and end.held_by:
+                self._peers.missed(end.held_by, now_s=now_s)
+        return ended
+
+    def _end(self, which: Callable[[Lease], bool], now_s: float) -> list[Command]:
+        ended = [server.leases.end(which, now_s=now_s) for server in self._servers.values()]
+        return [command for commands in ended for command in commands]

@@ -149,9 +149,8 @@ class InstancePlace:
         over = [number for number, until_s in self.former_s.items() if until_s <= now_s]
         for number in over:
             del self.former_s[number]
-        return [
-            self._stop(number, f"{self.server} has another version of {self.service} now") for number in over
-        ]
+        why = f"{self.server} has another version of {self.service} now"
+        return [self._stop(number, why) for number in over]
 
     def status(self, *, now_s: float) -> InstanceStatus:
         """The instance as it is now."""

@@ -68,12 +68,15 @@ class Leases:
         """The lease of the drone of that name; None without one."""
         return self._leases.get(drone)
 
+    def is_of(self, drone: Client) -> bool:
+        """Whether the drone, with this certificate, holds a slot."""
+        lease = self._leases.get(drone.name)
+        return lease is not None and lease.drone == drone
+
     def by_key(self, key: str, *, now_s: float) -> Lease | None:
         """The lease of the drone with that `Client.key`; None without one, or if its time is over."""
-        return next(
-            (lease for lease in self._leases.values() if lease.drone.key == key and lease.until_s > now_s),
-            None,
-        )
+        present = (lease for lease in self._leases.values() if lease.until_s > now_s)
+        return next((lease for lease in present if lease.drone.key == key), None)
 
     def held_by(self, peer: str, *, except_for: str) -> int:
         """How many slots are held at the peer's request, without the drone `except_for`."""
@@ -95,10 +98,6 @@ class Leases:
             return []
         return self._put(Lease(drone, until_s, held_by=peer), now_s)
 
-    def over(self, now_s: float) -> list[Lease]:
-        """The leases whose time is over."""
-        return [lease for lease in self._leases.values() if lease.until_s <= now_s]
-
     def end(self, which: Callable[[Lease], bool], *, now_s: float) -> list[Admit | LeaseEnded]:
         """End the leases that `which` selects, and last calls whose time is over."""
         ended = []
@@ -113,8 +112,7 @@ class Leases:
 
     def revoke(self, certificates: frozenset[str], *, now_s: float) -> list[Admit | LeaseEnded]:
         """End the leases of these certificates, and their time for last calls."""
-        for certificate in certificates & self._finishing.keys():
-            self._finishing[certificate] = now_s
+        self._finishing |= dict.fromkeys(certificates & self._finishing.keys(), now_s)
         return self.end(lambda lease: lease.drone.certificate in certificates, now_s=now_s)
 
     def end_turn(self, drone: str, *, now_s: float) -> list[Admit | LeaseEnded]:

@@ -8,20 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 from msgspec import Struct
 
 _MOST_MISSED = 3  # drones in a row that a peer expected in vain
 _MISTRUST_HOLDS = 10  # for how many times the longest hold it is refused then
-
-
-@dataclass(slots=True)
-class _Missed:
-    """The drones in a row that a peer announced and that did not come, and when the last one failed to."""
-
-    times: int = 0
-    last_s: float = -math.inf
 
 
 class _SentAhead(Struct, frozen=True):
@@ -41,7 +32,9 @@ class Peers:
     def __init__(self, names: Iterable[str], *, hold_s: float) -> None:
         self.names = tuple(names)
         self._hold_s = hold_s
-        self._missed: dict[str, _Missed] = {}  # by peer
+        self._missed: dict[
+            str, tuple[int, float]
+        ] = {}  # by peer: drones in a row, and when the last one failed
         self._sent_ahead: dict[str, _SentAhead] = {}  # by drone, until the slot is held no longer
 
     def unknown(self, peer: str) -> str:
@@ -52,9 +45,9 @@ class Peers:
 
     def mistrust(self, peer: str, *, now_s: float) -> str:
         """Why nothing is held for the peer now: its last announced drones did not come; "" if it is trusted."""
-        missed = self._missed.get(peer, _Missed())
-        if missed.times >= _MOST_MISSED and now_s < missed.last_s + _MISTRUST_HOLDS * self._hold_s:
-            return f"the last {missed.times} drones that {peer} expected did not come"
+        times, last_s = self._missed.get(peer, (0, -math.inf))
+        if times >= _MOST_MISSED and now_s < last_s + _MISTRUST_HOLDS * self._hold_s:
+            return f"the last {times} drones that {peer} expected did not come"
         return ""
 
     def came(self, peer: str) -> None:
@@ -63,8 +56,8 @@ class Peers:
 
     def missed(self, peer: str, *, now_s: float) -> None:
         """Note that a drone announced by the peer did not come; three in a row have the peer refused for a time."""
-        missed = self._missed.setdefault(peer, _Missed())
-        missed.times, missed.last_s = missed.times + 1, now_s
+        times, _ = self._missed.get(peer, (0, now_s))
+        self._missed[peer] = times + 1, now_s
 
     # --- what this daemon asks of peers -----------------------------------------------------------------------
 

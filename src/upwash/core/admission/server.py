@@ -130,9 +130,8 @@ class HostedServer:
 
     def endpoints(self, services: Iterable[str]) -> dict[str, str]:
         """The endpoints of those of the services that run, by service."""
-        return {
-            service: place.endpoint for service in services if (place := self._places[service]).is_running
-        }
+        places = (self._places[service] for service in services)
+        return {place.service: place.endpoint for place in places if place.is_running}
 
     def begin(self, service: str) -> tuple[InstancePlace, list[StartInstance]]:
         """The place of the service, where an instance starts unless there is one."""
@@ -145,13 +144,9 @@ class HostedServer:
 
     def ready(self, service: str, number: int, endpoint: str, *, now_s: float) -> list[Command]:
         """The instance of that number can be called at the endpoint."""
-        is_news = self._places[service].ready(
-            number,
-            endpoint,
-            lanes=self.offer.lanes.get(service, 1),
-            former_until_s=now_s + self._lease_s,
-            now_s=now_s,
-        )
+        place, lanes = self._places[service], self.offer.lanes.get(service, 1)
+        until_s = now_s + self._lease_s
+        is_news = place.ready(number, endpoint, lanes=lanes, former_until_s=until_s, now_s=now_s)
         return [self.leases.admitted()] if is_news else []
 
     def gone(self, service: str, number: int, why: str = "", *, now_s: float = 0.0) -> list[StartInstance]:
@@ -232,8 +227,8 @@ class HostedServer:
     def pause(self, services: Iterable[str], drone: Client, *, now_s: float) -> tuple[str, float]:
         """Which of the services is left alone for the drone, and for how long; 0 if none is."""
         for service in services:
-            if (pause_s := self._places[service].failures.pause_s(drone.key, now_s=now_s)) > 0:
-                failures = self._places[service].failures
+            failures = self._places[service].failures
+            if (pause_s := failures.pause_s(drone.key, now_s=now_s)) > 0:
                 often = "" if failures.count == 1 else f" {failures.count} times in a row"
                 why = f"{self.name} leaves {service} alone, which failed{often}"
                 return f"{why}: {failures.why}", pause_s
@@ -273,19 +268,16 @@ class HostedServer:
         """Stop former instances whose time is over and, without leases, instances not called for that long."""
         places = self._places.values()
         commands = [command for place in places for command in place.stop_former(now_s=now_s)]
-        idle = (
-            []
-            if self.leases
-            else [place for place in places if place.is_running and now_s - place.used_s >= idle_s]
-        )
-        return commands + [command for place in idle for command in place.stop()]
+        for place in () if self.leases else places:
+            if place.is_running and now_s - place.used_s >= idle_s:
+                commands += place.stop()
+        return commands
 
     @property
     def is_idle(self) -> bool:
         """Whether no drone has a slot and nothing runs."""
-        return not self.leases and not any(
-            place.is_running or place.former_s for place in self._places.values()
-        )
+        places = self._places.values()
+        return not self.leases and not any(place.is_running or place.former_s for place in places)
 
     def ends_s(self, idle_s: float) -> Iterator[float]:
         """When each lease and each former instance ends, and each running instance that is not called again."""

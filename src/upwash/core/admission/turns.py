@@ -102,16 +102,13 @@ class Turns:
         if waiting.asks < 2:
             return []
         over = [
-            account
+            (-account.had_until_s(now_s), account.drone)
             for account in self._accounts.values()
             if account.holds_since_s is not None
             and now_s - account.holds_since_s >= self.turn_s
             and account.had_until_s(now_s) - waiting.had_s > self.turn_s / 2
         ]
-        return [
-            account.drone
-            for account in sorted(over, key=lambda account: (-account.had_until_s(now_s), account.drone))
-        ]
+        return [drone for _, drone in sorted(over)]
 
     def status(self, *, now_s: float) -> list[AccountStatus]:
         """The accounts of present drones by name, for the status page."""

@@ -47,13 +47,9 @@ class _Use:
     computed_s: float = 0.0
     called_s: float | None = None  # when its last call ended
 
-    def call(self, took_s: float, *, is_answered: bool, now_s: float) -> None:
-        self.calls += is_answered
-        self.computed_s += took_s
-        self.called_s = now_s
-
-    def called_ago_s(self, now_s: float) -> float | None:
-        return None if self.called_s is None else now_s - self.called_s
+    def counts(self, now_s: float) -> tuple[int, float, float | None]:
+        """The calls, their seconds of computing, and how long ago the last one ended."""
+        return self.calls, self.computed_s, None if self.called_s is None else now_s - self.called_s
 
 
 @dataclass(slots=True)
@@ -91,13 +87,11 @@ class Usage:
         use, team = self._seen(drone)
         slot = self._slots.pop(drone)
         slot_s = now_s - slot.since_s
-        for total in (use, team):
-            total.slot_s += slot_s
-        ended = LeaseEnded(
-            self._server, drone, slot_s, use.calls - slot.calls, use.computed_s - slot.computed_s, held_by
-        )
+        use.slot_s += slot_s
+        team.slot_s += slot_s
         self._forget()
-        return ended
+        calls, computed_s = use.calls - slot.calls, use.computed_s - slot.computed_s
+        return LeaseEnded(self._server, drone, slot_s, calls, computed_s, held_by)
 
     def take_up(self, drones: Sequence[DroneUsage], teams: Sequence[TeamUsage], *, now_s: float) -> None:
         """Continue the counts of the former daemon; a slot that a drone has here began there."""
@@ -117,39 +111,27 @@ class Usage:
         name = self._names.get(drone)
         if name is not None:
             for use in self._seen(name):
-                use.call(took_s, is_answered=is_answered, now_s=now_s)
+                use.calls += is_answered
+                use.computed_s += took_s
+                use.called_s = now_s
 
     def drones(self, *, now_s: float) -> list[DroneUsage]:
         """The usage of each drone by name."""
-        return [
-            DroneUsage(
-                name,
-                team_of(name),
-                self._held_s(name, now_s) if name in self._slots else None,
-                use.slot_s + self._held_s(name, now_s),
-                use.calls,
-                use.computed_s,
-                use.called_ago_s(now_s),
-            )
-            for name, use in sorted(self._drones.items())
-        ]
+        told = []
+        for name, use in sorted(self._drones.items()):
+            slot = self._slots.get(name)
+            holds_s = None if slot is None else now_s - slot.since_s
+            slot_s = use.slot_s + (holds_s or 0.0)
+            told.append(DroneUsage(name, team_of(name), holds_s, slot_s, *use.counts(now_s)))
+        return told
 
     def teams(self, *, now_s: float) -> list[TeamUsage]:
         """The usage of each team by name; forgotten drones count."""
-        return [
-            TeamUsage(
-                team,
-                len(members := [name for name in self._slots if team_of(name) == team]),
-                use.slot_s + sum(self._held_s(name, now_s) for name in members),
-                use.calls,
-                use.computed_s,
-                use.called_ago_s(now_s),
-            )
-            for team, use in sorted(self._teams.items())
-        ]
-
-    def _held_s(self, drone: str, now_s: float) -> float:
-        return now_s - self._slots[drone].since_s if drone in self._slots else 0.0
+        told = []
+        for team, use in sorted(self._teams.items()):
+            slots_s = [now_s - slot.since_s for name, slot in self._slots.items() if team_of(name) == team]
+            told.append(TeamUsage(team, len(slots_s), use.slot_s + sum(slots_s), *use.counts(now_s)))
+        return told
 
     def _seen(self, drone: str) -> tuple[_Use, _Use]:
         team = team_of(drone)

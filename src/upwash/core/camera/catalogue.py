@@ -9,6 +9,8 @@ product of these:
 - an entry in view without a box: the share of objects that a detector misses
 - the shift: a normal distribution of the error of the pose
 
+Places, shifts and corners are complex numbers here: east and north.
+
 Two boxes of a photo are never one object, and neither are two labels. `settle` then moves photos and entries to where
 all photos agree best, and joins entries that no photo shows together although both were in view. During a flight
 `join` does the latter alone.
@@ -17,9 +19,10 @@ all photos agree best, and joins entries that no photo shows together although b
 from __future__ import annotations
 
 import math
+import operator
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from upwash.core.camera.georeference import Place
 from upwash.core.geo import Position
@@ -45,9 +48,11 @@ class Sighting:
     key: tuple[int, int]
     label: str
     place: Place
+    at: complex = field(init=False)
     own_m: float = field(init=False)
 
     def __post_init__(self) -> None:
+        self.at = complex(self.place.position.east_m, self.place.position.north_m)
         self.own_m = math.hypot(self.place.apart_m, _JITTER_M)
 
 
@@ -55,7 +60,7 @@ class Sighting:
 class Exposure:
     """A photo as it lies over the entries, and the standard error of the shift without any entry."""
 
-    shift: Shift
+    shift: complex
     spread_m: float
     seen: list[tuple[Sighting, Entry]] = field(default_factory=list)
 
@@ -65,8 +70,7 @@ class Entry:
     """An object: where it lies among the entries, and its sightings by photo."""
 
     label: str
-    east_m: float
-    north_m: float
+    at: complex
     sightings: dict[int, Sighting] = field(default_factory=dict)
 
     def place(self) -> Place:
@@ -79,17 +83,12 @@ class Entry:
             return sum(weight * value for weight, value in zip(weights, values, strict=True)) / total
 
         surest = min(places, key=lambda place: place.error_m)
-        return Place(
-            Position(
-                mean(place.position.east_m for place in places),
-                mean(place.position.north_m for place in places),
-                mean(place.position.altitude_m for place in places),
-            ),
-            error_m=mean(place.error_m for place in places),
-            variance=surest.variance,
-            apart_m=surest.apart_m,
-            assumes=surest.assumes,
+        position = Position(
+            mean(place.position.east_m for place in places),
+            mean(place.position.north_m for place in places),
+            mean(place.position.altitude_m for place in places),
         )
+        return replace(surest, position=position, error_m=mean(place.error_m for place in places))
 
 
 class Catalogue:
@@ -106,20 +105,20 @@ class Catalogue:
         """Takes in the sightings on a photo, a later message about the same photo too."""
         if not sightings:
             return
+        outline = [complex(*corner) for corner in corners or ()]
         self._boxes += len(sightings)
-        self._area_m2 += _area_m2(corners) if corners else _UNSEEN_M2
+        self._area_m2 += _area_m2(outline) if outline else _UNSEEN_M2
         near = [self._near(photo, sighting) for sighting in sightings]
         spread_m = math.sqrt(sum(_variance_m2(sighting) for sighting in sightings) / len(sightings))
-        shift, pairs = (0.0, 0.0), dict[int, Entry]()
+        shift, pairs = 0j, dict[int, Entry]()
         if any(near):
-            expected = self._in_view(photo, corners) if corners else []
+            expected = self._in_view(photo, outline) if outline else []
             shift, pairs = self._best(sightings, near, expected, spread_m)
         exposure = self._photos.setdefault(photo, Exposure(shift, spread_m))
         for index, sighting in enumerate(sightings):
             entry = pairs.get(index)
             if entry is None:
-                at = sighting.place.position
-                entry = Entry(sighting.label, at.east_m + shift[0], at.north_m + shift[1])
+                entry = Entry(sighting.label, sighting.at + shift)
                 self.entries.append(entry)
                 self._labels.add(entry.label)
                 self._cell(entry).append(entry)
@@ -132,7 +131,7 @@ class Catalogue:
         for _ in range(_ROUNDS):
             for _ in range(_SWEEPS):
                 for exposure in self._photos.values():
-                    exposure.shift = _agreed(exposure)
+                    exposure.shift = _shrunk(exposure.seen, exposure.spread_m)
                 self._centre()
                 for entry in self.entries:
                     self._relax(entry)
@@ -145,14 +144,13 @@ class Catalogue:
         found = []
         for number, entry in enumerate(self.entries):
             own_m = self._error_m(entry)
-            for other in self._within(entry.label, entry.east_m, entry.north_m, 2 * _GATE * own_m):
+            for other in self._within(entry.label, entry.at, 2 * _GATE * own_m):
                 if other is entry or not entry.sightings.keys().isdisjoint(other.sightings):
                     continue
                 spread_m = math.hypot(own_m, self._error_m(other))
-                away_m = math.hypot(entry.east_m - other.east_m, entry.north_m - other.north_m)
+                away_m = abs(entry.at - other.at)
                 value = _log_normal(away_m, spread_m) - of_none
-                alone = min(len(entry.sightings), len(other.sightings))
-                value -= alone * math.log(_ALONE)
+                value -= min(len(entry.sightings), len(other.sightings)) * math.log(_ALONE)
                 if value > 0 and away_m < _GATE * spread_m:
                     found.append((-value, number, entry, other))
         gone = set[int]()
@@ -183,19 +181,18 @@ class Catalogue:
         near: Sequence[Sequence[Entry]],
         expected: Sequence[Entry],
         spread_m: float,
-    ) -> tuple[Shift, dict[int, Entry]]:
+    ) -> tuple[complex, dict[int, Entry]]:
         """The most probable shift, and the pairs of sightings and entries there."""
-        best: tuple[float, Shift, dict[int, Entry]] = (-math.inf, (0.0, 0.0), {})
+        best: tuple[float, complex, dict[int, Entry]] = (-math.inf, 0j, {})
         of_none = math.log(self._boxes / self._area_m2)
         for start in _shifts(sightings, near):
             pairs = _pairs(sightings, near, start)
-            shift = _shrunk(pairs, sightings, spread_m)
-            value = -(shift[0] ** 2 + shift[1] ** 2) / (4 * spread_m**2)  # of the photo and of the entries
+            shift = _shrunk([(sightings[index], entry) for index, entry in pairs.items()], spread_m)
+            value = -(shift.real**2 + shift.imag**2) / (4 * spread_m**2)  # of the photo and of the entries
             for index, sighting in enumerate(sightings):
                 entry = pairs.get(index)
-                value += (
-                    of_none if entry is None else _log_normal(_away_m(sighting, entry, shift), sighting.own_m)
-                )
+                away_m = abs(entry.at - sighting.at - shift) if entry is not None else 0.0
+                value += of_none if entry is None else _log_normal(away_m, sighting.own_m)
             met = {id(entry) for entry in pairs.values()}
             value += math.log(_MISSED) * sum(id(entry) not in met for entry in expected)
             if value > best[0]:
@@ -204,72 +201,53 @@ class Catalogue:
 
     def _near(self, photo: int, sighting: Sighting) -> list[Entry]:
         """The entries that the sighting may be of."""
-        at = sighting.place.position
         reach_m = _GATE * (math.sqrt(2 * _variance_m2(sighting)) + _JITTER_M)
-        return [
-            entry
-            for entry in self._within(sighting.label, at.east_m, at.north_m, reach_m)
-            if photo not in entry.sightings
-        ]
+        near = self._within(sighting.label, sighting.at, reach_m)
+        return [entry for entry in near if photo not in entry.sightings]
 
-    def _in_view(self, photo: int, corners: Corners) -> list[Entry]:
+    def _in_view(self, photo: int, corners: Sequence[complex]) -> list[Entry]:
         """The entries well within the photo's corners."""
-        east, north = (sum(corner[axis] for corner in corners) / len(corners) for axis in (0, 1))
-        share = 1 - 2 * _EDGE
-        inner = [
-            (east + share * (corner[0] - east), north + share * (corner[1] - north)) for corner in corners
-        ]
-        reach_m = max(math.hypot(corner[0] - east, corner[1] - north) for corner in inner)
+        middle = sum(corners) / len(corners)
+        inner = [middle + (1 - 2 * _EDGE) * (corner - middle) for corner in corners]
+        reach_m = max(abs(corner - middle) for corner in inner)
         return [
             entry
             for label in self._labels
-            for entry in self._within(label, east, north, reach_m)
+            for entry in self._within(label, middle, reach_m)
             if photo not in entry.sightings and _is_inside(entry, inner)
         ]
 
-    def _within(self, label: str, east_m: float, north_m: float, reach_m: float) -> Iterator[Entry]:
+    def _within(self, label: str, at: complex, reach_m: float) -> Iterator[Entry]:
         if (reach_m / _CELL_M) ** 2 > len(self._cells):
             yield from (entry for entry in self.entries if entry.label == label)
             return
-        columns = range(_cell(east_m - reach_m), _cell(east_m + reach_m) + 1)
-        for row in range(_cell(north_m - reach_m), _cell(north_m + reach_m) + 1):
+        columns = range(_cell(at.real - reach_m), _cell(at.real + reach_m) + 1)
+        for row in range(_cell(at.imag - reach_m), _cell(at.imag + reach_m) + 1):
             for column in columns:
                 if entries := self._cells.get((label, column, row)):
                     yield from entries
 
     def _cell(self, entry: Entry) -> list[Entry]:
-        return self._cells[entry.label, _cell(entry.east_m), _cell(entry.north_m)]
+        return self._cells[entry.label, _cell(entry.at.real), _cell(entry.at.imag)]
 
     # --- photos and entries together ---
 
     def _relax(self, entry: Entry) -> None:
         """Moves the entry to the mean of its sightings."""
         self._cell(entry).remove(entry)
-        total = east = north = 0.0
-        for photo, sighting in entry.sightings.items():
-            shift, at = self._photos[photo].shift, sighting.place.position
-            weight = 1 / sighting.own_m**2
-            total += weight
-            east += weight * (at.east_m + shift[0])
-            north += weight * (at.north_m + shift[1])
-        entry.east_m, entry.north_m = east / total, north / total
+        weights = [1 / sighting.own_m**2 for sighting in entry.sightings.values()]
+        places = [self._photos[photo].shift + sighting.at for photo, sighting in entry.sightings.items()]
+        entry.at = sum(map(operator.mul, weights, places), 0j) / sum(weights)
         self._cell(entry).append(entry)
 
     def _centre(self) -> None:
         """Takes from each shift what the photos around have in common: reported places are right on average."""
         common = {
-            id(entry): [
-                sum(self._photos[photo].shift[axis] for photo in entry.sightings) / len(entry.sightings)
-                for axis in (0, 1)
-            ]
+            id(entry): sum(self._photos[photo].shift for photo in entry.sightings) / len(entry.sightings)
             for entry in self.entries
         }
         for exposure in self._photos.values():
-            around = [common[id(entry)] for _, entry in exposure.seen]
-            exposure.shift = (
-                exposure.shift[0] - sum(east for east, _ in around) / len(around),
-                exposure.shift[1] - sum(north for _, north in around) / len(around),
-            )
+            exposure.shift -= sum(common[id(entry)] for _, entry in exposure.seen) / len(exposure.seen)
 
     def _error_m(self, entry: Entry) -> float:
         """The standard error of the entry among entries of other photos: those photos may all be off together."""
@@ -280,28 +258,26 @@ class Catalogue:
         return max(_JITTER_M, 1 / math.sqrt(certainty))
 
 
-def _shifts(sightings: Sequence[Sighting], near: Sequence[Sequence[Entry]]) -> list[Shift]:
+def _shifts(sightings: Sequence[Sighting], near: Sequence[Sequence[Entry]]) -> list[complex]:
     """The shifts that most boxes would agree on, and none at all."""
-    votes: dict[tuple[int, int], list[Shift]] = defaultdict(list)
+    votes: dict[tuple[int, int], list[complex]] = defaultdict(list)
     for sighting, entries in zip(sightings, near, strict=True):
-        at = sighting.place.position
         for entry in entries:
-            apart = entry.east_m - at.east_m, entry.north_m - at.north_m
-            votes[round(apart[0]), round(apart[1])].append(apart)
-    ranked = sorted(votes.values(), key=lambda found: (-len(found), math.hypot(*found[0])))[:_MOST_SHIFTS]
-    means = [tuple(sum(apart[axis] for apart in found) / len(found) for axis in (0, 1)) for found in ranked]
-    return [(0.0, 0.0), *((east, north) for east, north in means)]
+            apart = entry.at - sighting.at
+            votes[round(apart.real), round(apart.imag)].append(apart)
+    ranked = sorted(votes.values(), key=lambda found: (-len(found), abs(found[0])))[:_MOST_SHIFTS]
+    return [0j, *(sum(found) / len(found) for found in ranked)]
 
 
-def _pairs(sightings: Sequence[Sighting], near: Sequence[Sequence[Entry]], shift: Shift) -> dict[int, Entry]:
+def _pairs(
+    sightings: Sequence[Sighting], near: Sequence[Sequence[Entry]], shift: complex
+) -> dict[int, Entry]:
     """The nearest pairs at that shift, each sighting and each entry in one at most."""
     distances = []
     for index, (sighting, entries) in enumerate(zip(sightings, near, strict=True)):
-        at, reach_m = sighting.place.position, _GATE * sighting.own_m
-        east_m, north_m = at.east_m + shift[0], at.north_m + shift[1]
+        at, reach_m = sighting.at + shift, _GATE * sighting.own_m
         for number, entry in enumerate(entries):
-            away_m = math.hypot(entry.east_m - east_m, entry.north_m - north_m)
-            if away_m <= reach_m:
+            if (away_m := abs(entry.at - at)) <= reach_m:
                 distances.append((away_m / reach_m, index, number))
     pairs, taken = dict[int, Entry](), set[int]()
     for _, index, number in sorted(distances):
@@ -312,34 +288,19 @@ def _pairs(sightings: Sequence[Sighting], near: Sequence[Sequence[Entry]], shift
     return pairs
 
 
-def _shrunk(pairs: dict[int, Entry], sightings: Sequence[Sighting], spread_m: float) -> Shift:
+def _shrunk(pairs: Sequence[tuple[Sighting, Entry]], spread_m: float) -> complex:
     """The mean shift from the sightings to their entries, less what the pose makes improbable."""
-    total, east, north = spread_m**-2, 0.0, 0.0
-    for index, entry in pairs.items():
-        sighting = sightings[index]
-        weight, at = 1 / sighting.own_m**2, sighting.place.position
+    total, shift = spread_m**-2, 0j
+    for sighting, entry in pairs:
+        weight = 1 / sighting.own_m**2
         total += weight
-        east += weight * (entry.east_m - at.east_m)
-        north += weight * (entry.north_m - at.north_m)
-    return east / total, north / total
-
-
-def _agreed(exposure: Exposure) -> Shift:
-    """The photo's shift to its entries, less what the pose makes improbable."""
-    sightings = [sighting for sighting, _ in exposure.seen]
-    return _shrunk(
-        {index: entry for index, (_, entry) in enumerate(exposure.seen)}, sightings, exposure.spread_m
-    )
+        shift += weight * (entry.at - sighting.at)
+    return shift / total
 
 
 def _variance_m2(sighting: Sighting) -> float:
     variance = sighting.place.variance
     return max(0.01, (variance[0] + variance[2]) / 2)
-
-
-def _away_m(sighting: Sighting, entry: Entry, shift: Shift) -> float:
-    at = sighting.place.position
-    return math.hypot(entry.east_m - at.east_m - shift[0], entry.north_m - at.north_m - shift[1])
 
 
 def _log_normal(away_m: float, spread_m: float) -> float:
@@ -351,17 +312,16 @@ def _cell(length_m: float) -> int:
     return math.floor(length_m / _CELL_M)
 
 
-def _area_m2(corners: Corners) -> float:
-    return abs(sum(east * other[1] - other[0] * north for (east, north), other in _sides(corners)) / 2)
+def _area_m2(corners: Sequence[complex]) -> float:
+    return abs(sum((corner.conjugate() * other).imag for corner, other in _sides(corners)) / 2)
 
 
-def _is_inside(entry: Entry, corners: Corners) -> bool:
+def _is_inside(entry: Entry, corners: Sequence[complex]) -> bool:
     """Whether the entry lies within the corners, which are clockwise."""
     return all(
-        (other[0] - east) * (entry.north_m - north) <= (other[1] - north) * (entry.east_m - east)
-        for (east, north), other in _sides(corners)
+        ((entry.at - corner) * (other - corner).conjugate()).imag <= 0 for corner, other in _sides(corners)
     )
 
 
-def _sides(corners: Corners) -> Iterator[tuple[tuple[float, float], tuple[float, float]]]:
+def _sides(corners: Sequence[complex]) -> Iterator[tuple[complex, complex]]:
     return zip(corners, [*corners[1:], corners[0]], strict=True)

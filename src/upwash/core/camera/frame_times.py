@@ -36,10 +36,10 @@ class FrameTimes:
 
         The reader waited `waited_s` for it; `stamp_s` is its time in the stream, 0 if unknown.
         """
-        is_first = self._arrived_s is None
-        buffered_s = self._buffered_s(arrived_s, waited_s, stamp_s, is_first=is_first)
+        buffered_s = self._buffered_s(arrived_s, waited_s, stamp_s)
+        known = self._arrived_s is not None
         interval_s = 0.0 if self._arrived_s is None else arrived_s - self._arrived_s
-        known, self._arrived_s = not is_first, arrived_s
+        self._arrived_s = arrived_s
         if len(self._intervals_s) >= _FEWEST:
             usual_s = median(self._intervals_s)
             is_gap = interval_s > max(_GAP * usual_s, _LEAST_GAP_S)
@@ -53,11 +53,11 @@ class FrameTimes:
             self._intervals_s.append(interval_s)
         return arrived_s - max(self._late_s, buffered_s)
 
-    def _buffered_s(self, arrived_s: float, waited_s: float, stamp_s: float, *, is_first: bool) -> float:
+    def _buffered_s(self, arrived_s: float, waited_s: float, stamp_s: float) -> float:
         interval_s, self._stamp_s = stamp_s - self._stamp_s, stamp_s
         ahead_s = arrived_s - stamp_s
         if interval_s <= 0 or waited_s >= _PACE * interval_s:
             self._ahead_s = ahead_s
-            self.caught_up |= not is_first
+            self.caught_up |= self._arrived_s is not None
         self._ahead_s = min(self._ahead_s, ahead_s)
         return ahead_s - self._ahead_s

@@ -9,8 +9,9 @@ ground to first order. Vectors are east, north and up.
 
 from __future__ import annotations
 
+import cmath
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -103,8 +104,30 @@ class PhotoGeometry(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def sight(self) -> Sight | Unplaced:
-        """The photo's geometry made ready for its boxes."""
-        return sight_of(self)
+        """The photo's geometry made ready for its boxes, or why nothing on it has a place."""
+        ground, lens, accuracy = self.ground, self.lens, self.accuracy
+        height_m = self.position.altitude_m - ground.altitude_m
+        if not height_m > _LOWEST_M:
+            return Unplaced("the drone was not above the ground")
+        if lens.fov_deg is None and lens.focal_px is None:
+            return Unplaced("the camera's lens is unknown")
+        if not lens.fits(self.size_px):
+            return Unplaced("the calibration is of pictures with another ratio of width to height")
+        tilt_deg, heading_deg, assumes = accuracy.tilt_deg, accuracy.heading_deg, ""
+        if lens.up_deg is not None:
+            attitude = Attitude(0.0, 0.0, lens.up_deg)
+        elif self.attitude is not None:
+            attitude = self.attitude
+        elif self.heading_deg is not None:
+            attitude = Attitude(0.0, 0.0, self.heading_deg)
+            tilt_deg, assumes = max(tilt_deg, _LEVEL_ASSUMED_DEG), "that the drone was level"
+        else:
+            attitude = Attitude(0.0, 0.0, 0.0)
+            tilt_deg, heading_deg = max(tilt_deg, _LEVEL_ASSUMED_DEG), _UNKNOWN_HEADING_DEG
+            assumes = "that the drone was level and its nose pointed north"
+        assumes = " and ".join(filter(None, (assumes, ground.assumes)))
+        right, down, ahead = (_turned(axis, attitude) for axis in lens.axes)
+        return Sight(self, (right, down, ahead), height_m, tilt_deg, heading_deg, assumes)
 
     def footprint_m(self) -> list[tuple[float, float]] | None:
         """The photo's corners on the ground, east and north of home, clockwise from its upper left.
@@ -115,14 +138,12 @@ class PhotoGeometry(msgspec.Struct, frozen=True, omit_defaults=True):
         if isinstance(sight, Unplaced) or sight.heading_deg >= _UNKNOWN_HEADING_DEG:
             return None
         width, height = self.size_px
-        corners = [sight.line_to(*corner) for corner in ((0, 0), (width, 0), (width, height), (0, height))]
-        here = self.position
-        lines = [line for line in corners if line is not None]
-        return (
-            None
-            if len(lines) < len(corners)
-            else [(here.east_m + east, here.north_m + north) for east, north, _ in lines]
-        )
+        here, found = self.position, list[tuple[float, float]]()
+        for corner in ((0, 0), (width, 0), (width, height), (0, height)):
+            if (line := sight.line_to(*corner)) is None:
+                return None
+            found.append((here.east_m + line[0], here.north_m + line[1]))
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,10 +175,9 @@ class Sight:
 
     def _line_along(self, x: float, y: float) -> Vector | None:
         ground = self.photo.ground
-        right, down, ahead = self.axes
-        east = x * right[0] + y * down[0] + ahead[0]
-        north = x * right[1] + y * down[1] + ahead[1]
-        up = x * right[2] + y * down[2] + ahead[2]
+        east, north, up = (
+            x * right + y * down + ahead for right, down, ahead in zip(*self.axes, strict=True)
+        )
         sinks = ground.slope_east * east + ground.slope_north * north - up
         if not sinks > math.sin(math.radians(_LOWEST_SIGHT_DEG)) * math.hypot(east, north, up):
             return None
@@ -196,22 +216,22 @@ class Sight:
             assumes=self.assumes,
         )
 
-    def _shared_errors(self, line: Vector) -> Iterator[tuple[float, float]]:
+    def _shared_errors(self, line: Vector) -> Iterator[complex]:
         """How far the standard errors of position and tilt move the place, east and north: about all places alike."""
         accuracy = self.photo.accuracy
         east, north, up = line
         tilt = math.radians(self.tilt_deg)
-        yield accuracy.position_m, 0.0
-        yield 0.0, accuracy.position_m
+        yield complex(accuracy.position_m, 0.0)
+        yield complex(0.0, accuracy.position_m)
         yield self._moved(line, 0.0, -tilt * up, tilt * north)
         yield self._moved(line, tilt * up, 0.0, -tilt * east)
 
-    def _own_errors(self, line: Vector, *sides: tuple[float, float]) -> Iterator[tuple[float, float]]:
+    def _own_errors(self, line: Vector, *sides: tuple[float, float]) -> Iterator[complex]:
         """The same of what moves each place otherwise; a box by its middle and size to each side."""
         altitude_m = math.hypot(self.photo.accuracy.altitude_m, self.photo.ground.error_m)
         yield self._moved(line, 0.0, 0.0, altitude_m)
         turn = math.radians(self.heading_deg)
-        yield -turn * line[1], turn * line[0]
+        yield complex(-turn * line[1], turn * line[0])
         right, down, ahead = self.axes
         depth_m = sum(part * along for part, along in zip(line, ahead, strict=True))
         lens = self.photo.lens
@@ -224,70 +244,28 @@ class Sight:
             error_m = m_per_px * math.hypot(_BOX_PX, share * size_px)
             yield self._moved(line, *(error_m * part for part in axis))
 
-    def _moved(self, line: Vector, east: float, north: float, up: float) -> tuple[float, float]:
+    def _moved(self, line: Vector, east: float, north: float, up: float) -> complex:
         """How far the place moves, east and north, where the end of the line moves so."""
         ground = self.photo.ground
         rises = up - ground.slope_east * east - ground.slope_north * north
         share = rises / self.height_m  # the line itself sinks by this height, over the ground's plane
-        return east + share * line[0], north + share * line[1]
-
-
-def sight_of(photo: PhotoGeometry) -> Sight | Unplaced:
-    """The photo's geometry made ready for its boxes, or why nothing on it has a place."""
-    ground, lens, accuracy = photo.ground, photo.lens, photo.accuracy
-    height_m = photo.position.altitude_m - ground.altitude_m
-    if not height_m > _LOWEST_M:
-        return Unplaced("the drone was not above the ground")
-    if lens.fov_deg is None and lens.focal_px is None:
-        return Unplaced("the camera's lens is unknown")
-    if not lens.fits(photo.size_px):
-        return Unplaced("the calibration is of pictures with another ratio of width to height")
-    tilt_deg, heading_deg, assumes = accuracy.tilt_deg, accuracy.heading_deg, ""
-    if lens.up_deg is not None:
-        attitude = Attitude(0.0, 0.0, lens.up_deg)
-    elif photo.attitude is not None:
-        attitude = photo.attitude
-    elif photo.heading_deg is not None:
-        attitude = Attitude(0.0, 0.0, photo.heading_deg)
-        tilt_deg, assumes = max(tilt_deg, _LEVEL_ASSUMED_DEG), "that the drone was level"
-    else:
-        attitude = Attitude(0.0, 0.0, 0.0)
-        tilt_deg, heading_deg = max(tilt_deg, _LEVEL_ASSUMED_DEG), _UNKNOWN_HEADING_DEG
-        assumes = "that the drone was level and its nose pointed north"
-    assumes = " and ".join(filter(None, (assumes, ground.assumes)))
-    right, down, ahead = (_turned(axis, attitude) for axis in lens.axes)
-    return Sight(photo, (right, down, ahead), height_m, tilt_deg, heading_deg, assumes)
+        return complex(east + share * line[0], north + share * line[1])
 
 
 def _turned(vector: Vector, attitude: Attitude) -> Vector:
     """A vector forward, right and down from a vehicle with that attitude: east, north and up."""
     forward, right, down = vector
-    roll, pitch, yaw = (
-        math.radians(angle) for angle in (attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg)
-    )
-    right, down = (
-        right * math.cos(roll) - down * math.sin(roll),
-        right * math.sin(roll) + down * math.cos(roll),
-    )
-    forward, down = (
-        forward * math.cos(pitch) + down * math.sin(pitch),
-        down * math.cos(pitch) - forward * math.sin(pitch),
-    )
-    return (
-        forward * math.sin(yaw) + right * math.cos(yaw),
-        forward * math.cos(yaw) - right * math.sin(yaw),
-        -down,
-    )
+    rolled = complex(right, down) * cmath.rect(1, math.radians(attitude.roll_deg))
+    pitched = complex(forward, rolled.imag) * cmath.rect(1, -math.radians(attitude.pitch_deg))
+    level = complex(rolled.real, pitched.real) * cmath.rect(1, -math.radians(attitude.yaw_deg))
+    return level.real, level.imag, -pitched.imag
 
 
-def _sum(errors: Iterator[tuple[float, float]]) -> tuple[float, float, float]:
+def _sum(errors: Iterable[complex]) -> tuple[float, float, float]:
     """The variances of independent errors together."""
-    easts, mixed, norths = 0.0, 0.0, 0.0
-    for east, north in errors:
-        easts += east * east
-        mixed += east * north
-        norths += north * north
-    return easts, mixed, norths
+    known = list(errors)
+    easts, norths = (sum(error.real**2 for error in known), sum(error.imag**2 for error in known))
+    return easts, sum(error.real * error.imag for error in known), norths
 
 
 def radius_of_95(variance: tuple[float, float, float]) -> float:

@@ -89,16 +89,11 @@ class Coverage:
 
     def asked(self, server: str, position: Position, *, answered: bool) -> MeasuredPlace:
         """Count an attempt to reach the server from the position; return the place that counted it."""
-        place = self._here(server, position)
+        place = self.at(server, position)
+        if place is None or ground_distance_m(place.position, position) > SAME_M:
+            place = MeasuredPlace(Position(position.east_m, position.north_m))
+            self._places[server].add(place)
         place.tried += 1
         place.answered += answered
         place.flights_ago = 0
-        return place
-
-    def _here(self, server: str, position: Position) -> MeasuredPlace:
-        nearest = self.at(server, position)
-        if nearest is not None and ground_distance_m(nearest.position, position) <= SAME_M:
-            return nearest
-        place = MeasuredPlace(Position(position.east_m, position.north_m))
-        self._places[server].add(place)
         return place

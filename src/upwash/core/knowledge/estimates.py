@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from types import MappingProxyType
 
@@ -72,6 +72,25 @@ def offline_remote_s(*, processing_s: float, data_bytes: int, bandwidth_bit_s: f
     return processing_s + 8 * data_bytes / bandwidth_bit_s
 
 
+@dataclass(slots=True)
+class _Calls:
+    """The calls of an operation at a server; all that is learnt counts as of calls sent whole."""
+
+    offline_s: float
+    way: BothWays | None  # how less is sent; None if all is sent whole
+    window: Window
+    slow_s: float | None = None  # the last one, if it was slow and stays out of the mean
+    last_s: float = math.inf  # when the last one ended
+
+
+@dataclass(slots=True)
+class _AtServer:
+    check: Window
+    check_running: Window
+    calls: Mapping[Operation, _Calls]
+    warm: set[str] = field(default_factory=set)  # services called since their start
+
+
 class Estimates:
     """Every estimate of one drone, learnt from its calls and checks.
 
@@ -84,7 +103,7 @@ class Estimates:
     where the drone is.
 
     Where sending `less` loses no more than `most_loss`, and that is above 0, a remote call takes the shorter of both
-    ways. All that is learnt counts as of calls sent whole.
+    ways.
     """
 
     def __init__(
@@ -100,48 +119,34 @@ class Estimates:
     ) -> None:
         self.coverage = coverage
         self._on_servers = frozenset(on_servers)
+        self._slow_apart = slow_apart
+        self._local = {operation: Window.filled(delay_s) for operation, delay_s in local_s.items()}
         hosted = [operation for beliefs in servers.values() for operation in beliefs.remote_s]
-        self._calls = dict.fromkeys(
-            [*local_s, *(operation for operation in hosted if self.needs_server(operation))], 0
-        )
-        self._ways = {
-            (server, operation): BothWays(part, max(0.0, beliefs.remote_s[operation] - transfer_s))
-            for operation, part in less.items()
-            for server, beliefs in servers.items()
-            if operation in beliefs.remote_s
-            and (transfer_s := beliefs.transfer_s.get(operation)) is not None
-            and part.loss <= most_loss
-            and most_loss > 0
-        }
+        self._counts = dict.fromkeys([*local_s, *filter(self.needs_server, hosted)], 0)  # of calls
+        sent_less = {each: part for each, part in less.items() if part.loss <= most_loss and most_loss > 0}
+        self._servers = {name: self._believed(beliefs, sent_less) for name, beliefs in servers.items()}
         self._parts_failed = Counter[str]()  # in a row, by service
         self._here: Position | None = None
         # What the coverage says of the servers, where the drone is.
         self._seen: Sequence[object] = [None for _ in coverage.servers] if coverage else ()
-        self._beliefs = dict(servers)
-        self._slow_apart = slow_apart
-        self._slow_s: dict[str, dict[Operation, float]] = {server: {} for server in servers}
-        self._local = {operation: Window.filled(delay_s) for operation, delay_s in local_s.items()}
-        self._remote = {
-            server: {
-                operation: Window.filled(delay_s)
-                for operation, delay_s in beliefs.remote_s.items()
-                if operation in self._calls
-            }
-            for server, beliefs in servers.items()
-        }
-        self._check = {server: Window.filled(beliefs.check_s) for server, beliefs in servers.items()}
-        self._check_running = {
-            server: Window.filled(beliefs.check_running_s) for server, beliefs in servers.items()
-        }
         self._weights = self._weigh()
-        self._last_remote_call_s: dict[str, dict[Operation, float]] = {server: {} for server in servers}
-        self._warm: dict[str, set[str]] = {server: set() for server in servers}  # called since their start
         self._mean_call_s: dict[str | None, float] = {}  # asked for since a window or a weight last changed
+
+    def _believed(self, beliefs: Beliefs, less: Mapping[Operation, Less]) -> _AtServer:
+        calls = {}
+        for operation, whole_s in beliefs.remote_s.items():
+            if operation in self._counts:
+                part, transfer_s = less.get(operation), beliefs.transfer_s.get(operation)
+                way = None
+                if part is not None and transfer_s is not None:
+                    way = BothWays(part, max(0.0, whole_s - transfer_s))
+                calls[operation] = _Calls(whole_s, way, Window.filled(whole_s))
+        return _AtServer(Window.filled(beliefs.check_s), Window.filled(beliefs.check_running_s), calls)
 
     @property
     def operations(self) -> Iterable[Operation]:
         """The operations with an offline estimate; no other may be offloaded."""
-        return self._calls.keys()
+        return self._counts.keys()
 
     def needs_server(self, operation: Operation) -> bool:
         """Whether no drone can run the operation."""
@@ -168,36 +173,42 @@ class Estimates:
         """
         if not self.needs_server(operation):
             return self.local_s(operation)
-        delays_s = [its[operation].mean_s for its in self._remote.values() if operation in its]
-        return _ALONE_FACTOR * max(delays_s) if delays_s else None
+        hosting = [calls for its in self._servers.values() if (calls := its.calls.get(operation))]
+        return _ALONE_FACTOR * max(calls.window.mean_s for calls in hosting) if hosting else None
 
     def remote_s(self, server: str, operation: Operation, at: Position | None = None) -> float | None:
         """Expected delay (s) of a remote call, transfer included (`Call_s`); None if the server does not host it."""
-        return self._remote_s(server, operation, at, self._slow_s[server].get(operation, 0.0))
+        return self._remote_s(server, operation, at, slow=True)
+
+    def usual_s(self, server: str, operation: Operation) -> float | None:
+        """Expected delay (s) of a remote call as `remote_s`, but without the last slow call of `slow_apart`."""
+        return self._remote_s(server, operation, None, slow=False)
 
     def offline_s(self, server: str, operation: Operation) -> float | None:
         """The delay (s) of a remote call sent whole, as believed before any call; None if not hosted there."""
-        return self._beliefs[server].remote_s.get(operation)
+        calls = self._servers[server].calls.get(operation)
+        return None if calls is None else calls.offline_s
 
     def may_send_less(self, server: str, operation: Operation) -> bool:
         """Whether a part may make requests to the server smaller."""
-        return (server, operation) in self._ways
+        return self._way(server, operation) is not None
 
     def both_ways_s(self, server: str, operation: Operation) -> tuple[float, float] | None:
         """Expected delays (s) of a remote call sent whole, and with less to send; None if all is sent whole."""
-        if (way := self._way(server, operation)) is None:
+        way = self._way(server, operation)
+        if way is None or not self.tries_part(operation.service):
             return None
-        whole_s = self._whole_s(server, operation, None, self._slow_s[server].get(operation, 0.0))
+        whole_s = self._whole_s(server, operation, None, slow=True)
         return None if whole_s is None else (whole_s, way.less_s(whole_s))
 
     def as_whole_s(self, server: str, operation: Operation, less_s: float) -> float:
         """The delay (s) that a call would have had if it had been sent whole, for one with less to send."""
-        way = self._ways.get((server, operation))
+        way = self._way(server, operation)
         return less_s if way is None else way.whole_s(less_s)
 
     def as_less_s(self, server: str, operation: Operation, whole_s: float) -> float:
         """The reverse of `as_whole_s`."""
-        way = self._ways.get((server, operation))
+        way = self._way(server, operation)
         return whole_s if way is None else way.less_s(whole_s)
 
     def part_failed(self, service: str) -> None:
@@ -211,19 +222,16 @@ class Estimates:
 
     def is_hosted(self, server: str, operation: Operation) -> bool:
         """Whether the server's beliefs name the operation."""
-        return operation in self._remote[server]
-
-    def usual_s(self, server: str, operation: Operation) -> float | None:
-        """Expected delay (s) of a remote call as `remote_s`, but without the last slow call of `slow_apart`."""
-        return self._remote_s(server, operation, None, 0.0)
+        return operation in self._servers[server].calls
 
     def is_first_call(self, server: str, operation: Operation) -> bool:
         """Whether the server is not known to have computed a call of the service since the service's start."""
-        return operation.service not in self._warm[server]
+        return operation.service not in self._servers[server].warm
 
     def check_s(self, server: str, *, running: bool) -> float:
         """Expected delay (s) from selection to READY: `CheckR_s` if the services run already, else `Check_s`."""
-        return (self._check_running if running else self._check)[server].mean_s
+        its = self._servers[server]
+        return (its.check_running if running else its.check).mean_s
 
     def start_s(self, server: str) -> float:
         """The seconds that starting the services adds to a check."""
@@ -236,15 +244,20 @@ class Estimates:
         operation this is the thesis's min(Call, Call_s).
         """
         if server is not None and self.is_measured(server):
-            return sum(
-                weight * self._faster_s(operation, server, at) for operation, weight in self._weights.items()
-            )
-        mean_s = self._mean_call_s.get(server)
-        if mean_s is None:
-            mean_s = self._mean_call_s[server] = sum(
-                weight * self._faster_s(operation, server) for operation, weight in self._weights.items()
-            )
-        return mean_s
+            return self._weighted_s(server, at)
+        if server not in self._mean_call_s:
+            self._mean_call_s[server] = self._weighted_s(server)
+        return self._mean_call_s[server]
+
+    def _weighted_s(self, server: str | None, at: Position | None = None) -> float:
+        return sum(
+            weight * self._faster_s(operation, server, at) for operation, weight in self._weights.items()
+        )
+
+    def _faster_s(self, operation: Operation, server: str | None, at: Position | None) -> float:
+        call_s = self.alone_s(operation) or 0.0
+        remote_s = self.remote_s(server, operation, at) if server else None
+        return call_s if remote_s is None else min(call_s, remote_s)
 
     def is_measured(self, server: str) -> bool:
         """Whether the server has no configured range, so that its delays are measured for each place."""
@@ -278,7 +291,7 @@ class Estimates:
 
     def call_waits(self, operation: Operation) -> None:
         """Count a call that only servers compute: it matters from the moment that it is made."""
-        if operation in self._calls:
+        if operation in self._counts:
             self._count(operation)
 
     def observe_remote_cut(
@@ -289,19 +302,22 @@ class Estimates:
         Otherwise a server slower than its deadline would never look slow, as its calls never end
         (docs/decisions/calls-cut-short.md). A wait no longer than the estimate says nothing.
         """
-        self._warm[server].add(operation.service)
+        self._servers[server].warm.add(operation.service)
         estimate_s = self.remote_s(server, operation)
         if not self._slow_apart and estimate_s is not None and waited_s > estimate_s:
             self._learn_remote(server, operation, waited_s, now_s=now_s, less=less)
 
     def observe_check(self, server: str, delay_s: float, *, started: bool) -> None:
         """Add the delay of a check that ended READY and `started` services, or found them running."""
-        windows = self._check if started else self._check_running
-        windows[server] = windows[server].observe(delay_s)
+        its = self._servers[server]
+        if started:
+            its.check = its.check.observe(delay_s)
+        else:
+            its.check_running = its.check_running.observe(delay_s)
 
     def services_started(self, server: str) -> None:
         """Note that services were started on the server: the next call of each counts as its first."""
-        self._warm[server].clear()
+        self._servers[server].warm.clear()
 
     def forget_slow_calls(self, server: str, *, now_s: float, retry_s: float) -> bool:
         """Give a server slower than the drone another chance, `retry_s` after its last slow call.
@@ -309,39 +325,40 @@ class Estimates:
         Only calls change the estimate of a remote call, and a slow server gets none. Return whether an estimate
         changed.
         """
-        windows, slow_s, forgot = self._remote[server], self._slow_s[server], False
-        for operation, last_s in self._last_remote_call_s[server].items():
-            if now_s - last_s < retry_s:
+        forgot = False
+        for operation, calls in self._servers[server].calls.items():
+            if now_s - calls.last_s < retry_s:
                 continue
-            if self._is_slow(operation, self._sooner_s(server, operation, windows[operation].mean_s)):
-                windows[operation] = Window.filled(self._beliefs[server].remote_s[operation])
-            elif slow_s.pop(operation, None) is None:
+            if self._is_known_slow(operation, calls):
+                calls.window = Window.filled(calls.offline_s)
+            elif calls.slow_s is None:
                 continue
+            else:
+                calls.slow_s = None
             self._mean_call_s.clear()
             forgot = True
         return forgot
 
     def next_forgetting_s(self, server: str, *, retry_s: float) -> float:
         """The time at which `forget_slow_calls` next changes an estimate; infinite if never."""
-        slow_s, next_s = self._slow_s[server], math.inf
-        for operation, last_s in self._last_remote_call_s[server].items():
-            mean_s = self._sooner_s(server, operation, self._remote[server][operation].mean_s)
-            if operation in slow_s or self._is_slow(operation, mean_s):
-                next_s = min(next_s, last_s + retry_s)
-        return next_s
+        made = [item for item in self._servers[server].calls.items() if item[1].last_s < math.inf]
+        slow = (calls for each, calls in made if calls.slow_s is not None or self._is_known_slow(each, calls))
+        return min((calls.last_s + retry_s for calls in slow), default=math.inf)
+
+    def _is_known_slow(self, operation: Operation, calls: _Calls) -> bool:
+        return self._is_slow(operation, self._sooner_s(operation, calls, calls.window.mean_s))
 
     def _remote_s(
-        self, server: str, operation: Operation, at: Position | None, least_s: float
+        self, server: str, operation: Operation, at: Position | None, *, slow: bool
     ) -> float | None:
-        if operation not in self._remote[server]:
+        calls = self._servers[server].calls.get(operation)
+        if calls is None:
             return None
-        whole_s = self._whole_s(server, operation, at, least_s)
-        return self.alone_s(operation) if whole_s is None else self._sooner_s(server, operation, whole_s)
+        whole_s = self._whole_s(server, operation, at, slow=slow)
+        return self.alone_s(operation) if whole_s is None else self._sooner_s(operation, calls, whole_s)
 
-    def _whole_s(
-        self, server: str, operation: Operation, at: Position | None, least_s: float
-    ) -> float | None:
-        """The delay of a call sent whole, by what was measured near the place, or else at least `least_s`.
+    def _whole_s(self, server: str, operation: Operation, at: Position | None, *, slow: bool) -> float | None:
+        """The delay of a call sent whole, by what was measured near the place, or else by the server's calls.
 
         None near a place where the server was not reached.
         """
@@ -350,35 +367,31 @@ class Estimates:
         known_s = place.call_s(operation) if place is not None else None
         if known_s is not None or (place is not None and not place.reached):
             return known_s
-        return max(self._remote[server][operation].mean_s, least_s)
+        calls = self._servers[server].calls[operation]
+        return max(calls.window.mean_s, (calls.slow_s or 0.0) if slow else 0.0)
 
     def _way(self, server: str, operation: Operation) -> BothWays | None:
-        """How less is sent to the server; None if all is sent whole."""
-        if not self._ways or not self.tries_part(operation.service):
-            return None
-        return self._ways.get((server, operation))
+        calls = self._servers[server].calls.get(operation)
+        return None if calls is None else calls.way
 
-    def _sooner_s(self, server: str, operation: Operation, whole_s: float) -> float:
+    def _sooner_s(self, operation: Operation, calls: _Calls, whole_s: float) -> float:
         """The delay (s) by the quicker way of sending, of a call that would take `whole_s` sent whole."""
-        way = self._way(server, operation)
-        return whole_s if way is None else min(whole_s, way.less_s(whole_s))
-
-    def _faster_s(self, operation: Operation, server: str | None, at: Position | None = None) -> float:
-        call_s = self.alone_s(operation) or 0.0
-        remote_s = self.remote_s(server, operation, at) if server else None
-        return call_s if remote_s is None else min(call_s, remote_s)
+        if calls.way is None or not self.tries_part(operation.service):
+            return whole_s
+        return min(whole_s, calls.way.less_s(whole_s))
 
     def _learn_remote(
         self, server: str, operation: Operation, delay_s: float, *, now_s: float, less: bool = False
     ) -> None:
         whole_s = self.as_whole_s(server, operation, delay_s) if less else delay_s
+        its = self._servers[server]
+        calls = its.calls[operation]
         if self._slow_apart and self._is_slow(operation, delay_s):
-            self._slow_s[server][operation] = whole_s
+            calls.slow_s = whole_s
         else:
-            self._slow_s[server].pop(operation, None)
-            self._remote[server][operation] = self._remote[server][operation].observe(whole_s)
-        self._warm[server].add(operation.service)
-        self._last_remote_call_s[server][operation] = now_s
+            calls.slow_s, calls.window = None, calls.window.observe(whole_s)
+        its.warm.add(operation.service)
+        calls.last_s = now_s
         self._mean_call_s.clear()
 
     def _is_slow(self, operation: Operation, delay_s: float) -> bool:
@@ -386,12 +399,12 @@ class Estimates:
         return not self.needs_server(operation) and delay_s >= self._local[operation].mean_s
 
     def _count(self, operation: Operation) -> None:
-        self._calls[operation] += 1
+        self._counts[operation] += 1
         self._weights = self._weigh()
         self._mean_call_s.clear()
 
     def _weigh(self) -> dict[Operation, float]:
-        calls = sum(self._calls.values())
+        calls = sum(self._counts.values())
         if calls < _CALLS_BEFORE_WEIGHING:
-            return dict.fromkeys(self._calls, 1 / len(self._calls)) if self._calls else {}
-        return {operation: count / calls for operation, count in self._calls.items()}
+            return dict.fromkeys(self._counts, 1 / len(self._counts)) if self._counts else {}
+        return {operation: count / calls for operation, count in self._counts.items()}

@@ -12,7 +12,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from statistics import median
 
-from upwash.core.geo import Circle, Position, Reach, ground_distance_m
+from upwash.core.geo import Circle, Position, Reach, ground_distance_m, to_border_m
 
 _MOST_SQUARES = 64  # of one area, or of one question: what reaches further is looked at each time
 _LEAST_SIDE_M = 1.0
@@ -92,12 +92,8 @@ class Ranges:
     def _look(self, name: str, position: Position) -> bool:
         """Whether the border of the area was crossed since the last test."""
         area = self._areas[name]
-        to_border_m = (
-            abs(ground_distance_m(area.centre, position) - area.radius_m)
-            if isinstance(area, Circle)
-            else math.inf
-        )
-        heapq.heappush(self._due, (self._travelled_m + to_border_m - _ROUNDING_M, name))
+        border_m = to_border_m(area, position) if isinstance(area, Circle) else math.inf
+        heapq.heappush(self._due, (self._travelled_m + border_m - _ROUNDING_M, name))
         is_inside, was_inside = area.contains(position), name in self._inside
         if is_inside != was_inside:
             self._inside ^= {name}

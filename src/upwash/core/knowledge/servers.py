@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -137,9 +137,8 @@ class Server:
 
     def asked_again_s(self, now_s: float) -> float:
         """The time at which the next of its reports about slots is forgotten; infinite if none is remembered."""
-        full_s = self.full_s + _REMEMBERED_S if self.is_full(now_s) else math.inf
-        contended_s = self.contended_s + _REMEMBERED_S if self.is_contended(now_s) else math.inf
-        return min(full_s, contended_s)
+        known_s = [said_s for said_s in (self.full_s, self.contended_s) if now_s - said_s < _REMEMBERED_S]
+        return min(known_s, default=math.inf) + _REMEMBERED_S
 
     def apply(self, event: Trigger, *, now_s: float, why: str = "") -> Change:
         """Change the state as TRANSITIONS says, and return the change.
@@ -148,13 +147,9 @@ class Server:
         """
         after = TRANSITIONS.get((self.state, event))
         if after is None:
-            raise TransitionError(
-                f"server {self.name}: {event} is impossible in {self.state}; before that: "
-                + (
-                    "; ".join(f"{c.at_s:.3f} {c.before} {c.event} {c.after}" for c in self.history)
-                    or "nothing"
-                )
-            )
+            steps = [f"{past.at_s:.3f} {past.before} {past.event} {past.after}" for past in self.history]
+            impossible = f"server {self.name}: {event} is impossible in {self.state}"
+            raise TransitionError(f"{impossible}; before that: {'; '.join(steps) or 'nothing'}")
         change = Change(self.name, event, self.state, after, now_s, why, self.check)
         self.history.append(change)
         self.state = after
@@ -172,9 +167,8 @@ class Server:
     def deselect(self, *, now_s: float, why: str) -> Change:
         """Change the selected server's state to AVL or AVL-R, and return the change."""
         starting = self.state is State.CHECK and self.start_requested
-        return self.apply(
-            Trigger.DESELECTED_AFTER_START if starting else Trigger.DESELECTED, now_s=now_s, why=why
-        )
+        trigger = Trigger.DESELECTED_AFTER_START if starting else Trigger.DESELECTED
+        return self.apply(trigger, now_s=now_s, why=why)
 
 
 class ServerTable:
@@ -208,22 +202,22 @@ class ServerTable:
 
     def next_expiry_s(self, *, probed: Collection[Server]) -> float:
         """The time before which nothing expires; infinite if nothing will."""
-        return min(
-            (
-                server.since_s + (server.left_alone_s if server.state is State.BLACKLISTED else self._idle_s)
-                for server in self._met
-                if server.state is State.AVL_R or (server.state is State.BLACKLISTED and server not in probed)
-            ),
-            default=math.inf,
-        )
+        return min((at_s for _, at_s in self._expiring(probed)), default=math.inf)
 
     def expire(self, now_s: float, *, probed: Collection[Server]) -> list[Change]:
         """End blacklistings, except of probed servers, and the belief that idle services still run."""
         changes = []
-        for server in self._met:
-            if server.state is State.BLACKLISTED:
-                if server not in probed and now_s - server.since_s >= server.left_alone_s:
-                    changes.append(server.apply(Trigger.BLACKLIST_EXPIRED, now_s=now_s))
-            elif server.state is State.AVL_R and now_s - server.since_s >= self._idle_s:
-                changes.append(server.apply(Trigger.IDLE_EXPIRED, now_s=now_s))
+        for server, at_s in self._expiring(probed):
+            if now_s >= at_s:
+                is_blacklisted = server.state is State.BLACKLISTED
+                trigger = Trigger.BLACKLIST_EXPIRED if is_blacklisted else Trigger.IDLE_EXPIRED
+                changes.append(server.apply(trigger, now_s=now_s))
         return changes
+
+    def _expiring(self, probed: Collection[Server]) -> Iterator[tuple[Server, float]]:
+        """The servers whose state time alone changes, and when."""
+        for server in self._met:
+            if server.state is State.AVL_R:
+                yield server, server.since_s + self._idle_s
+            elif server.state is State.BLACKLISTED and server not in probed:
+                yield server, server.since_s + server.left_alone_s

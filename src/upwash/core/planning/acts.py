@@ -16,9 +16,8 @@ from typing import Generic, NamedTuple, TypeVar
 
 from msgspec import Struct
 
-from upwash.core.geo import Position, Waypoint, distance_m
-from upwash.core.planning.legs import Leg, Pace
-from upwash.core.planning.motion import passes
+from upwash.core.geo import Position, Waypoint, distance_m, first_on_way, row_of
+from upwash.core.planning.legs import Pace, passes
 
 T = TypeVar("T")
 _LEAST_GAIN_S = 0.5  # of an act that is put off
@@ -160,7 +159,8 @@ class Acts(Generic[T]):
         braking_s = max(
             2 * braking_m / self._ground_speed_m_s, math.sqrt(2 * braking_m / self._pace.acceleration_m_s2)
         )
-        ends_s = self._leg(2 * distance_m(way.here, way.end)).duration_s / 2  # at its speed already
+        twice_m = 2 * distance_m(way.here, way.end)
+        ends_s = self._pace.leg(twice_m, self._ground_speed_m_s).duration_s / 2  # at its speed already
         back_s = self._onwards_s(place, way.ahead, way.end)
         return braking_s + self._leg_s(way.rest, place) + back_s - ends_s
 
@@ -200,15 +200,12 @@ class Acts(Generic[T]):
         """Where the gap begins, and where it ends; None: on the ground."""
         if number + 1 == len(self._plan):
             return self._last[0], None
-        following = self._plan[number + 1]
-        ahead = following.via[0].position if following.via else following.position
-        return self._plan[number].position, ahead
+        return self._plan[number].position, first_on_way(self._plan[number + 1]).position
 
     def _is_inside(self, number: int) -> bool:
         """Whether the gap is between two spots of a row."""
-        if number + 1 >= len(self._plan) or (row := _row(self._plan[number])) is None:
-            return False
-        return row == _row(self._plan[number + 1])
+        row = row_of(self._plan[number]) if number + 1 < len(self._plan) else None
+        return row is not None and row == row_of(self._plan[number + 1])
 
     def _run(self, number: int) -> tuple[Position, Position]:
         """The places on a row, around a gap, where the drone rests in any case."""
@@ -262,13 +259,4 @@ class Acts(Generic[T]):
         return allows(before, place) and (after is None or allows(place, after))
 
     def _leg_s(self, start: Position, end: Position) -> float:
-        return self._leg(distance_m(start, end)).duration_s
-
-    def _leg(self, length_m: float) -> Leg:
-        pace = self._pace
-        return Leg(length_m, self._ground_speed_m_s, pace.acceleration_m_s2, pace.settling_s)
-
-
-def _row(waypoint: Waypoint) -> object:
-    """What the spots of one row have in common; None of a place where the drone rests."""
-    return None if waypoint.row_end is None else (waypoint.row_start, waypoint.row_end)
+        return self._pace.leg(distance_m(start, end), self._ground_speed_m_s).duration_s

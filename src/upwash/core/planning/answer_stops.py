@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from msgspec import Struct
 
-from upwash.core.geo import Circle, Position, ground_distance_m, part_way
+from upwash.core.geo import Circle, Position, ground_distance_m, nearest_share, part_way
 
 _WELL_INSIDE = 0.9  # of a range: there a drone stops
 
@@ -24,10 +24,9 @@ class AnswerStops(Struct, frozen=True):
 
     def passed(self, way: Sequence[Position]) -> bool:
         """Whether the way over these places passes a range."""
-        legs = list(itertools.pairwise(way))
         return any(
-            ground_distance_m(_nearest(start, end, area.centre), area.centre) <= _WELL_INSIDE * area.radius_m
-            for start, end in legs
+            ground_distance_m(_nearest(*leg, area.centre), area.centre) <= _WELL_INSIDE * area.radius_m
+            for leg in itertools.pairwise(way)
             for area in self.areas
         )
 
@@ -51,11 +50,7 @@ def longer_m(start: Position, place: Position, end: Position) -> float:
 
 def _nearest(start: Position, end: Position, centre: Position) -> Position:
     """The place on the straight way that is nearest to the centre, at the altitude of the start."""
-    east_m, north_m = end.east_m - start.east_m, end.north_m - start.north_m
-    square = east_m**2 + north_m**2
-    off_m2 = (centre.east_m - start.east_m) * east_m + (centre.north_m - start.north_m) * north_m
-    share = min(1.0, max(0.0, off_m2 / square)) if square else 0.0
-    return Position(start.east_m + share * east_m, start.north_m + share * north_m, start.altitude_m)
+    return part_way(start, end, nearest_share(centre, start, end)).at_altitude(start.altitude_m)
 
 
 def _inside(start: Position, end: Position, area: Circle) -> Position:

@@ -19,11 +19,11 @@ from typing import NamedTuple
 
 from msgspec import Struct
 
-from upwash.core.geo import Reach
+from upwash.core.geo import Position, Reach
 from upwash.core.planning.earliest import first_taken
+from upwash.core.planning.legs import ALWAYS, Motion, Stay, stay_in
 
 _LEAST_S = 1e-6  # of a call
-Stay = tuple[float, float]  # in range, from one time to another
 
 
 class ServerBelief(Struct, frozen=True):
@@ -46,7 +46,7 @@ class Answering:
     """Answers photos, as time goes on.
 
     `could` counts the answers that the drone and its servers could have given until `now_s`. With an infinite
-    `local_s` only servers answer.
+    `local_s` only servers answer. Of the servers, those that are faster than the drone count.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class Answering:
         self.now_s = 0.0
         self.could = 0.0
         self._local_s = local_s
-        self._servers = {name: server for name, server in servers.items() if server.call_s < local_s}
+        self.servers = {name: server for name, server in servers.items() if server.call_s < local_s}
         self._switch_s = gain_switch * local_s
         self._newest = newest
         self._coming: deque[tuple[float, int]] = deque()
@@ -67,14 +67,14 @@ class Answering:
         self._running: set[str] = set()
         self._stays: Mapping[str, Stay] = {}
 
-    @property
-    def servers(self) -> Mapping[str, ServerBelief]:
-        """The servers that are faster than the drone."""
-        return self._servers
+    def flies(self, motion: Motion) -> None:
+        """The drone flies that leg from now on."""
+        stays = {name: stay_in(motion, server.area) for name, server in self.servers.items()}
+        self._stays = {name: stay for name, stay in stays.items() if stay is not None}
 
-    def moves(self, stays: Mapping[str, Stay]) -> None:
-        """From now on these servers are in range, each from one time to another."""
-        self._stays = stays
+    def rests(self, place: Position) -> None:
+        """The drone rests there from now on."""
+        self._stays = {name: ALWAYS for name, server in self.servers.items() if server.area.contains(place)}
 
     def take(self, photo: int, at_s: float) -> None:
         """A photo that is there at that time."""
@@ -93,11 +93,11 @@ class Answering:
             self._go_on(due_s)
             while self._coming and self._coming[0][0] <= self.now_s:
                 bisect.insort(self._line, self._coming.popleft()[1])
-            if self._drone is not None and self._drone.end_s <= self.now_s:
-                answered, self._drone = self._drone, None
+            if (answered := self._drone) is not None and answered.end_s <= self.now_s:
+                self._drone = None
                 return answered.photo
-            if self._remote is not None and self._remote.end_s <= self.now_s:
-                answered, self._remote = self._remote, None
+            if (answered := self._remote) is not None and answered.end_s <= self.now_s:
+                self._remote = None
                 return answered.photo
 
     def _go_on(self, to_s: float) -> None:
@@ -115,20 +115,17 @@ class Answering:
             if self._remote is not None:
                 bisect.insort(self._line, self._remote.photo)
                 self._remote = None
-        best = min(in_range, key=lambda name: (self._servers[name].call_s, -in_range[name]), default=None)
-        if best is None or best == self._server or not self._is_worth(best):
+        best = min(in_range, key=lambda name: (self.servers[name].call_s, -in_range[name]), default=None)
+        if best is None or best == self._server:
             return
-        server = self._servers[best]
+        server = self.servers[best]
+        if self._server is not None:
+            gain_s = self.servers[self._server].call_s - server.call_s
+            if self._remote is not None or gain_s <= self._switch_s:
+                return
         self._server = best
         self._ready_s = self.now_s + (server.check_running_s if best in self._running else server.check_s)
         self._running.add(best)
-
-    def _is_worth(self, server: str) -> bool:
-        """Whether the drone may use that server in place of the present one."""
-        if self._server is None:
-            return True
-        gain_s = self._servers[self._server].call_s - self._servers[server].call_s
-        return self._remote is None and gain_s > self._switch_s
 
     def _compute(self) -> None:
         """Start the first photos in line, as far as their places are free."""
@@ -155,7 +152,7 @@ class Answering:
     def _ready_server(self) -> ServerBelief | None:
         if self._server is None or self._ready_s > self.now_s:
             return None
-        return self._servers[self._server]
+        return self.servers[self._server]
 
     def _next_s(self) -> float:
         times_s = [self._coming[0][0]] if self._coming else []

@@ -16,8 +16,7 @@ from msgspec import Struct
 from upwash.core.geo import Circle, Position, distance_m
 from upwash.core.planning.answer_stops import AnswerStops, longer_m
 from upwash.core.planning.answering import Answering, ServerBelief
-from upwash.core.planning.legs import Leg, Pace
-from upwash.core.planning.motion import Motion, stay_in
+from upwash.core.planning.legs import Leg, Motion, Pace
 
 LEAST_GAIN_S = 1.0
 
@@ -81,10 +80,8 @@ class Backlog(Struct, frozen=True, kw_only=True):
 
     def _answered_s(self, here: Position, place: Position) -> float:
         leg = self._leg(here, place)
-        motion = Motion(here, place, leg, 0.0)
         answering = Answering(self.local_s, self.servers, gain_switch=self.gain_switch)
-        stays = {name: stay_in(motion, server.area) for name, server in answering.servers.items()}
-        answering.moves({name: stay for name, stay in stays.items() if stay is not None})
+        answering.flies(Motion(here, place, leg, 0.0))
         for photo in range(self.photos):
             answering.take(photo, 0.0)
         while answering.next_answer(math.inf) is not None:
@@ -106,6 +103,5 @@ class Backlog(Struct, frozen=True, kw_only=True):
                     yield self.wait_at(place, here=here, server=name)
 
     def _leg(self, start: Position, end: Position) -> Leg:
-        pace = self.pace
         length_m = distance_m(start, end.at_altitude(start.altitude_m))
-        return Leg(length_m, self.ground_speed_m_s, pace.acceleration_m_s2, pace.settling_s)
+        return self.pace.leg(length_m, self.ground_speed_m_s)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import cache
 
 from msgspec import Struct
 
@@ -41,26 +42,22 @@ class ChosenSpeed(Struct, frozen=True):
 
 def choose_speed(limits: Sequence[SpeedLimit], forecast: Callable[[float], RowForecast]) -> ChosenSpeed:
     """The speed with the shortest forecast, as far as the limits allow; there is at least one limit."""
-    found: dict[float, RowForecast] = {}
-
-    def lowest_quick() -> float:
-        for speed_m_s in tried:
-            if speed_m_s not in found:
-                found[speed_m_s] = forecast(speed_m_s)
-        shortest_s = min(one.mission_s for one in found.values())
-        return min(speed for speed, one in found.items() if one.mission_s <= _AS_QUICK * shortest_s)
-
+    forecast = cache(forecast)
     top_m_s = _rounded(min(limit.ground_speed_m_s for limit in limits))
     count = math.floor(math.log(_LEAST_SHARE, _RATIO)) + 1
     tried = list(dict.fromkeys(_rounded(top_m_s * _RATIO**number) for number in range(count)))
-    best_m_s = lowest_quick()
-    place = tried.index(best_m_s)
+    place = tried.index(_lowest_quick(tried, forecast))
     low_m_s, high_m_s = tried[min(place + 1, len(tried) - 1)], tried[max(place - 1, 0)]
-    steps = max(1, round((high_m_s - low_m_s) / _STEP_M_S))
-    between = min(steps, _MOST_BETWEEN)
-    tried = [_rounded(low_m_s + (high_m_s - low_m_s) * number / between) for number in range(between + 1)]
-    best_m_s = lowest_quick()
-    return ChosenSpeed(best_m_s, _why(best_m_s, limits, found[best_m_s]), found[best_m_s])
+    between = min(max(1, round((high_m_s - low_m_s) / _STEP_M_S)), _MOST_BETWEEN)
+    around = [_rounded(low_m_s + (high_m_s - low_m_s) * number / between) for number in range(between + 1)]
+    best_m_s = _lowest_quick([*tried, *around], forecast)
+    return ChosenSpeed(best_m_s, _why(best_m_s, limits, forecast(best_m_s)), forecast(best_m_s))
+
+
+def _lowest_quick(speeds_m_s: Sequence[float], forecast: Callable[[float], RowForecast]) -> float:
+    """The lowest of these speeds that is about as quick as the quickest."""
+    shortest_s = min(forecast(speed_m_s).mission_s for speed_m_s in speeds_m_s)
+    return min(speed for speed in speeds_m_s if forecast(speed).mission_s <= _AS_QUICK * shortest_s)
 
 
 def _rounded(speed_m_s: float) -> float:

@@ -1,4 +1,4 @@
-"""How long a vehicle takes from one waypoint to the next, and when on the way it enters a circle.
+"""How long a vehicle takes from one waypoint to the next, where it is meanwhile, and when it is in a range.
 
 Legs are straight and flown from rest to rest: the vehicle speeds up steadily, cruises, brakes as it sped up, and
 settles at its target. `Pace` has the averages of each kind of vehicle; `energy.WayHome` has the longest times.
@@ -14,11 +14,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import NamedTuple, TypeAlias
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
-from upwash.core.geo import Circle, Position, Reach, distance_m
+from upwash.core.geo import Circle, Position, Reach, distance_m, inside, part_way
 
+Stay: TypeAlias = tuple[float, float]  # in a range, from one time to another
+ALWAYS: Stay = (-math.inf, math.inf)
+_ON_WAY_M = 1e-6
 _LEAST_M_S2, _MOST_M_S2 = 0.05, 50.0  # what is slower or more agile was held up, or has hardly moved
 
 
@@ -60,14 +64,17 @@ class Leg(Struct, frozen=True):
             return self.length_m - self.acceleration_m_s2 * left_s**2 / 2
         return self._top_m_s * (elapsed_s - ramp_s / 2)
 
-    def back_s(self, elapsed_s: float) -> float:
-        """Seconds to stop and fly back to the start, if the vehicle turns back `elapsed_s` after it has left."""
+    def stop(self, elapsed_s: float) -> tuple[float, float]:
+        """The seconds to rest of a vehicle that brakes `elapsed_s` after the start, and the metres to there."""
         left_s = max(0.0, self._moving_s - elapsed_s)
         speed_m_s = min(self._top_m_s, self.acceleration_m_s2 * min(elapsed_s, left_s))
         braking_s = speed_m_s / self.acceleration_m_s2
-        way_m = self.travelled_m(elapsed_s) + speed_m_s * braking_s / 2
-        back = Leg(way_m, self.ground_speed_m_s, self.acceleration_m_s2, self.settling_s)
-        return braking_s + back.duration_s
+        return braking_s, self.travelled_m(elapsed_s) + speed_m_s * braking_s / 2
+
+    def back_s(self, elapsed_s: float) -> float:
+        """Seconds to stop and fly back to the start, if the vehicle turns back `elapsed_s` after it has left."""
+        braking_s, way_m = self.stop(elapsed_s)
+        return braking_s + structs.replace(self, length_m=way_m).duration_s
 
     @property
     def _top_m_s(self) -> float:
@@ -97,6 +104,56 @@ class Section(Struct, frozen=True):
         return self.whole.reached_s(self.from_m + travelled_m) - self.whole.reached_s(self.from_m)
 
 
+class Motion(NamedTuple):
+    """A straight leg that is flown."""
+
+    start: Position
+    end: Position
+    leg: Leg
+    begun_s: float
+
+    def place(self, now_s: float) -> Position:
+        """Where the vehicle is at that time."""
+        length_m = self.leg.length_m
+        share = min(1.0, self.leg.travelled_m(now_s - self.begun_s) / length_m) if length_m else 1.0
+        return part_way(self.start, self.end, share)
+
+    def stop(self, now_s: float) -> tuple[float, Position]:
+        """When and where the vehicle rests if it brakes at that time, or at its end if that is nearer."""
+        leg = self.leg
+        braking_s, way_m = leg.stop(now_s - self.begun_s)
+        if way_m >= leg.length_m - _ON_WAY_M:
+            return self.begun_s + leg.duration_s, self.end
+        return now_s + braking_s + leg.settling_s, part_way(self.start, self.end, way_m / leg.length_m)
+
+    def passes_s(self, spot: Position) -> float | None:
+        """When it passes the spot, or arrives there; None if the spot is not on its way."""
+        if spot == self.end:
+            return self.begun_s + self.leg.duration_s
+        if not passes(self.start, self.end, spot):
+            return None
+        return self.begun_s + self.leg.reached_s(distance_m(self.start, spot))
+
+
+def passes(start: Position, end: Position, spot: Position) -> bool:
+    """Whether the straight way passes the spot."""
+    return distance_m(start, spot) + distance_m(spot, end) <= distance_m(start, end) + _ON_WAY_M
+
+
+def stay_in(motion: Motion, area: Reach) -> Stay | None:
+    """When the leg is in the area, up to for ever if it ends there; None if it never is."""
+    if not isinstance(area, Circle):
+        return ALWAYS
+    shares = inside(area, motion.start, motion.end)
+    if shares is None or shares[1] < 0 or shares[0] > 1:
+        return None
+    (first, last), length_m = shares, motion.leg.length_m
+    return (
+        -math.inf if first <= 0 else motion.begun_s + motion.leg.reached_s(first * length_m),
+        math.inf if last >= 1 else motion.begun_s + motion.leg.reached_s(last * length_m),
+    )
+
+
 def acceleration_m_s2(length_m: float, ground_speed_m_s: float, duration_s: float) -> float | None:
     """The acceleration that explains a leg's duration; None if the duration does not determine it."""
     cruise_s = length_m / ground_speed_m_s
@@ -109,27 +166,22 @@ def acceleration_m_s2(length_m: float, ground_speed_m_s: float, duration_s: floa
     return value_m_s2 if _LEAST_M_S2 <= value_m_s2 <= _MOST_M_S2 else None
 
 
-def left_m(start: Position, end: Position, circle: Reach) -> float | None:
-    """Metres from `start` to where a straight way that begins in the circle leaves it; None if it ends inside."""
-    if circle.contains(end):
+def left_m(start: Position, end: Position, area: Reach) -> float | None:
+    """Metres from `start` to where a straight way that begins in the area leaves it; None if it ends inside."""
+    if area.contains(end):
         return None
-    back_m = entered_m(end, start, circle)
+    back_m = entered_m(end, start, area)
     return 0.0 if back_m is None else distance_m(start, end) - back_m
 
 
-def entered_m(start: Position, end: Position, circle: Reach) -> float | None:
-    """Metres from `start` to where a straight way that ends in the circle enters it; None if it ends outside."""
-    if not circle.contains(end):
+def entered_m(start: Position, end: Position, area: Reach) -> float | None:
+    """Metres from `start` to where a straight way that ends in the area enters it; None if it ends outside."""
+    if not area.contains(end):
         return None
-    if not isinstance(circle, Circle) or circle.contains(start):
+    if not isinstance(area, Circle) or area.contains(start):
         return 0.0
-    to_start = (start.east_m - end.east_m, start.north_m - end.north_m)
-    to_centre = (circle.centre.east_m - end.east_m, circle.centre.north_m - end.north_m)
-    ground_m = math.hypot(*to_start)
-    along_m = (to_start[0] * to_centre[0] + to_start[1] * to_centre[1]) / ground_m
-    across_m2 = to_centre[0] ** 2 + to_centre[1] ** 2 - along_m**2
-    inside_m = along_m + math.sqrt(max(0.0, circle.radius_m**2 - across_m2))  # back from the end
-    return distance_m(start, end) * max(0.0, 1 - inside_m / ground_m)
+    shares = inside(area, start, end)
+    return distance_m(start, end) * (1.0 if shares is None else min(1.0, max(0.0, shares[0])))
 
 
 class Pace(Struct, frozen=True):
@@ -140,6 +192,10 @@ class Pace(Struct, frozen=True):
     lifting_s: float = 0.0  # of each take-off, at any height
     climb_m_s: float = math.inf
     home_share: float = 1.0
+
+    def leg(self, length_m: float, ground_speed_m_s: float) -> Leg:
+        """A leg of that length at that speed."""
+        return Leg(length_m, ground_speed_m_s, self.acceleration_m_s2, self.settling_s)
 
     def takeoff_s(self, altitude_m: float) -> float:
         """Seconds from arming to that altitude above the ground."""

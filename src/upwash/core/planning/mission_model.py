@@ -13,9 +13,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import fmean
 
-from msgspec import Struct, structs
+from msgspec import Struct
 
-from upwash.core.geo import Position, Reach, Via, Waypoint, distance_m
+from upwash.core.geo import Position, Reach, Via, Waypoint, distance_m, row_of
 from upwash.core.knowledge.estimates import WINDOW_LENGTH
 from upwash.core.knowledge.ranges import AreaIndex
 from upwash.core.operation import Operation
@@ -84,28 +84,22 @@ class MissionBeliefs:
 
 
 class PlannedLeg(Struct, frozen=True):
-    """A leg between two places, and when it was begun; the drone hovers for `hold_s` at a place without a call."""
+    """A leg between two places; the drone hovers for `hold_s` at a place without a call."""
 
     start: Position
     end: Position
     leg: Leg | Section
-    begun_s: float = 0.0
     hold_s: float = 0.0
 
 
-class _Entries(Struct, frozen=True):
-    """The servers in range at the end of a leg, and where the leg enters ranges in which it does not begin."""
-
-    servers: Sequence[str]
-    entered_m: Sequence[tuple[str, float]]
-
-
 class _Way(Struct, frozen=True):
-    """A coming leg with the hold at its end: its duration, and when it enters ranges in which it does not begin."""
+    """A coming leg with the hold at its end, and when it enters the range of each server in range there.
+
+    None for a range in which it begins.
+    """
 
     duration_s: float
-    servers: Sequence[str]  # in range at its end
-    entered_s: Sequence[tuple[str, float]]
+    entered_s: Mapping[str, float | None]
 
 
 class MissionModel:
@@ -119,30 +113,30 @@ class MissionModel:
         self._index_of_areas = index or AreaIndex(list(areas.values()))
         self._ground_speed_m_s = beliefs.ground_speed_m_s
         self._beliefs = beliefs
-        self._accelerations_m_s2 = deque([beliefs.pace.acceleration_m_s2], maxlen=WINDOW_LENGTH)
-        self._settling_s = beliefs.pace.settling_s
         self._routine = tuple(beliefs.stop)
         self._leaving_s = 0.0  # from the last call of a stop to the next leg
         self._place: Position | None = None  # where it is or flies to, as far as is known
         self._index: int | None = None  # of that place in the plan
         self._way: PlannedLeg | None = None
         self._then: list[PlannedLeg] = []  # the legs after it, to the same target
+        self._begun_s = 0.0  # when the first of them was begun
         self._last_leg_m = 0.0
         self._here: list[StopCall] = []
         self._flies_on = any(waypoint.row_end is not None for waypoint in beliefs.plan)  # before its answers
         self._row_starts = list(_row_starts(beliefs.plan))
         self._is_back = False  # or on the way back: the stop teaches nothing
         self._free_s = 0.0  # since when nothing is known to go on, or until when the call under way goes on
-        self._entries: dict[tuple[Position, Position], _Entries] = {}
-        self._ways: dict[tuple[int, float], _Way] = {}  # by waypoint and ground speed, at the present agility
+        self._entries: dict[tuple[Position, Position], Mapping[str, float]] = {}
+        self._flies_as(beliefs.pace)
 
     def begun(self, vehicle: Pace | None) -> None:
         """Begin the mission with a vehicle of that pace; None if unknown."""
-        pace = self._beliefs.pace_of(vehicle)
-        self._accelerations_m_s2.clear()
-        self._accelerations_m_s2.append(pace.acceleration_m_s2)
+        self._flies_as(self._beliefs.pace_of(vehicle))
+
+    def _flies_as(self, pace: Pace) -> None:
+        self._accelerations_m_s2 = deque([pace.acceleration_m_s2], maxlen=WINDOW_LENGTH)
         self._settling_s = pace.settling_s
-        self._ways.clear()
+        self._ways: dict[tuple[int, float], _Way] = {}  # by waypoint and ground speed, at the present agility
 
     def leg_begun(
         self,
@@ -164,13 +158,13 @@ class MissionModel:
         if self._way is None or self._place != target or self._index is None:
             self._index = self._find(target)
         self._place, self._here = target, []
-        self._last_leg_m = distance_m(start, target)
-        self._way, *self._then = self._legs_to(None if back else self._index, start, target, via, now_s=now_s)
+        self._last_leg_m, self._begun_s = distance_m(start, target), now_s
+        self._way, *self._then = self._legs_to(None if back else self._index, start, target, via)
 
     def arrived(self, *, now_s: float) -> None:
         """Note that the leg is over; learn the vehicle's acceleration from it."""
         if self._way is not None and not self._then and isinstance(leg := self._way.leg, Leg):
-            moved_s = now_s - self._way.begun_s - leg.settling_s
+            moved_s = now_s - self._begun_s - leg.settling_s
             found = acceleration_m_s2(leg.length_m, leg.ground_speed_m_s, moved_s)
             if found is not None:
                 self._accelerations_m_s2.append(found)
@@ -217,13 +211,9 @@ class MissionModel:
 
     def coming(self, position: Position, *, now_s: float, count: int) -> list[ExpectedCall]:
         """The next calls, at most `count`; empty if nothing is known."""
-        calls: list[ExpectedCall] = []
-        if self._place is not None and self._routine:
-            for call in self._calls(self._place, position, now_s):
-                calls.append(call)
-                if len(calls) == count:
-                    break
-        return calls
+        if self._place is None or not self._routine:
+            return []
+        return list(itertools.islice(self._calls(self._place, position, now_s), count))
 
     def rest(self, position: Position, *, now_s: float) -> list[ExpectedCall]:
         """The coming calls up to the end of the plan; empty if nothing is known, or the mission has left its plan."""
@@ -233,37 +223,50 @@ class MissionModel:
 
     def _calls(self, place: Position, position: Position, now_s: float) -> Iterator[ExpectedCall]:
         if self._way is not None:
-            steps, stop = self._routine, self._rest_of_way(self._way, position)
+            steps, gap_s, in_range_s = self._routine, *self._rest_of_way(self._way, position)
         elif self._flies_on:  # its call is made, and it flies on now
-            steps, stop = (), _Stop(0.0, self._near(place))
+            steps, gap_s, in_range_s = (), 0.0, {}
         else:
-            steps, stop = self._routine[len(self._here) :], _Stop(self._free_s - now_s, self._near(place))
-        yield from self._calls_of(steps, stop, place)
-        free_s = 0.0 if steps else stop.gap_s
+            steps, gap_s = self._routine[len(self._here) :], self._free_s - now_s
+            in_range_s = dict.fromkeys(self._entered(place, place))
+        yield from self._calls_of(steps, place, gap_s, in_range_s)
+        free_s = 0.0 if steps else gap_s
         for end, way in self._ways_after(place):
             leaving_s = max(0.0, free_s + self._leaving_s)
             gap_s = leaving_s + way.duration_s
-            entered = [(server, gap_s - leaving_s - entered_s) for server, entered_s in way.entered_s]
-            yield from self._calls_of(self._routine, _Stop(gap_s, way.servers, entered), end)
+            in_range_s = {
+                server: None if way_s is None else gap_s - leaving_s - way_s
+                for server, way_s in way.entered_s.items()
+            }
+            yield from self._calls_of(self._routine, end, gap_s, in_range_s)
             free_s = 0.0
 
-    def _calls_of(self, steps: Sequence[StopCall], stop: _Stop, place: Position) -> Iterator[ExpectedCall]:
+    def _calls_of(
+        self, steps: Sequence[StopCall], place: Position, gap_s: float, in_range_s: Mapping[str, float | None]
+    ) -> Iterator[ExpectedCall]:
+        """The calls at an arrival, `gap_s` after the call before.
+
+        `in_range_s` has for each server there how long it is in range at the arrival; None for the whole gap.
+        """
         for number, step in enumerate(steps):
             if number > 0:
-                stop = _Stop(0.0, self._near(place))
-            gap_s = stop.gap_s if self._flies_on else max(0.0, stop.gap_s + step.pause_s)
-            in_range_s = dict.fromkeys(stop.servers, gap_s)
-            for server, time_s in stop.entered:
-                in_range_s[server] = max(0.0, time_s + step.pause_s)
-            yield ExpectedCall(step.operation, gap_s, in_range_s, place, hides=self._flies_on)
+                gap_s, in_range_s = 0.0, dict.fromkeys(self._entered(place, place))
+            whole_s = gap_s if self._flies_on else max(0.0, gap_s + step.pause_s)
+            known_s = {
+                server: whole_s if time_s is None else max(0.0, time_s + step.pause_s)
+                for server, time_s in in_range_s.items()
+            }
+            yield ExpectedCall(step.operation, whole_s, known_s, place, hides=self._flies_on)
 
-    def _rest_of_way(self, way: PlannedLeg, position: Position) -> _Stop:
+    def _rest_of_way(self, way: PlannedLeg, position: Position) -> tuple[float, Mapping[str, float | None]]:
         leg = way.leg
         flown_s = leg.reached_s(leg.length_m - distance_m(position, way.end))
         whole = self._way_of([way, *self._then])
         rest_s = whole.duration_s - flown_s + self._hold_s()
-        entered = [(server, rest_s - max(0.0, way_s - flown_s)) for server, way_s in whole.entered_s]
-        return _Stop(rest_s, whole.servers, entered)
+        return rest_s, {
+            server: None if way_s is None else rest_s - max(0.0, way_s - flown_s)
+            for server, way_s in whole.entered_s.items()
+        }
 
     def _ways_after(self, place: Position) -> Iterator[tuple[Position, _Way]]:
         if self._index is None:
@@ -280,9 +283,8 @@ class MissionModel:
                     self._ways.clear()
                 way = self._way_of(self._legs_to(index, place, waypoint.position, waypoint.via, speed_m_s))
                 held_s = self.photo_s if self._flies_on and index and self._plan[index - 1].hold_s else 0.0
-                way = self._ways[index, speed_m_s] = structs.replace(
-                    way, duration_s=held_s + way.duration_s + waypoint.hold_s
-                )
+                way = _Way(held_s + way.duration_s + waypoint.hold_s, way.entered_s)
+                self._ways[index, speed_m_s] = way
             yield waypoint.position, way
             place = waypoint.position
 
@@ -293,28 +295,24 @@ class MissionModel:
         target: Position,
         via: Sequence[Via] = (),
         ground_speed_m_s: float | None = None,
-        *,
-        now_s: float = 0.0,
     ) -> list[PlannedLeg]:
         """The legs to the target, the waypoint of that index if it is one, by way of `via`; at least one."""
-        legs = self._via_legs(index - 1 if index else None, start, via, now_s=now_s)
+        legs = self._via_legs(index - 1 if index else None, start, via)
         if legs:
             start = legs[-1].end
-        if legs and index is not None:
-            ground_speed_m_s = ground_speed_m_s or self._plan[index].ground_speed_m_s
+            if index is not None:
+                ground_speed_m_s = ground_speed_m_s or self._plan[index].ground_speed_m_s
         section = None if index is None else self._section(index, ground_speed_m_s)
         leg = section or self._leg(distance_m(start, target), ground_speed_m_s)
-        return [*legs, PlannedLeg(start, target, leg, now_s)]
+        return [*legs, PlannedLeg(start, target, leg)]
 
-    def _via_legs(
-        self, index: int | None, start: Position, via: Sequence[Via], *, now_s: float = 0.0
-    ) -> list[PlannedLeg]:
+    def _via_legs(self, index: int | None, start: Position, via: Sequence[Via]) -> list[PlannedLeg]:
         """The legs over these places, from the waypoint of that index if it is one."""
         legs: list[PlannedLeg] = []
         for place in via:
             row = self._rest_of_row(index, place) if index is not None and not legs else None
             leg = row or self._leg(distance_m(start, place.position), place.ground_speed_m_s)
-            legs.append(PlannedLeg(start, place.position, leg, now_s, place.hold_s))
+            legs.append(PlannedLeg(start, place.position, leg, place.hold_s))
             start = place.position
         return legs
 
@@ -340,16 +338,14 @@ class MissionModel:
         """The legs as one way."""
         begins_s = list(itertools.accumulate((leg.leg.duration_s + leg.hold_s for leg in legs), initial=0.0))
         entries = [self._entered(leg.start, leg.end) for leg in legs]
-        entered_s = []
-        for server in entries[-1].servers:
+        entered_s: dict[str, float | None] = dict.fromkeys(entries[-1])
+        for server in entered_s:
             for begun_s, leg, found in zip(begins_s[-2::-1], reversed(legs), reversed(entries), strict=True):
-                way_m = next((way_m for name, way_m in found.entered_m if name == server), None)
-                if server not in found.servers:  # entered as the next leg begins
-                    way_m = leg.leg.length_m
-                if way_m is not None:
-                    entered_s.append((server, begun_s + leg.leg.reached_s(way_m)))
+                way_m = found.get(server, leg.leg.length_m)  # or it is entered as the next leg begins
+                if way_m or server not in found:
+                    entered_s[server] = begun_s + leg.leg.reached_s(way_m)
                     break
-        return _Way(begins_s[-1], entries[-1].servers, entered_s)
+        return _Way(begins_s[-1], entered_s)
 
     def _leg(self, length_m: float, ground_speed_m_s: float | None = None) -> Leg:
         speed_m_s = ground_speed_m_s or self._ground_speed_m_s
@@ -364,48 +360,28 @@ class MissionModel:
         order = itertools.chain(range(following, len(self._plan)), range(following))
         return next((index for index in order if self._plan[index].position == target), None)
 
-    def _near(self, place: Position) -> Sequence[str]:
-        return self._entered(place, place).servers
-
-    def _entered(self, start: Position, end: Position) -> _Entries:
+    def _entered(self, start: Position, end: Position) -> Mapping[str, float]:
+        """For each server in range at the end of a leg, where the leg enters its range; 0 where it begins there."""
         entries = self._entries.get((start, end))
         if entries is None:
             if len(self._entries) >= _MOST_ENTRIES:
                 self._entries.clear()
-            ends_in = (self._areas[number] for number in self._index_of_areas.near(end))
-            found = [(server, entered_m(start, end, area)) for server, area in ends_in]
-            entries = self._entries[start, end] = _Entries(
-                [server for server, way_m in found if way_m is not None],
-                [(server, way_m) for server, way_m in found if way_m],
-            )
+            near = (self._areas[number] for number in self._index_of_areas.near(end))
+            ways_m = ((server, entered_m(start, end, area)) for server, area in near)
+            entries = {server: way_m for server, way_m in ways_m if way_m is not None}
+            self._entries[start, end] = entries
         return entries
 
 
 def _row_starts(plan: Sequence[Waypoint]) -> Iterator[tuple[int, Position]]:
     """For each waypoint of the plan, the index of the first waypoint of its row, and where the leg over it begins."""
-    first, start = 0, Position(0.0, 0.0)
+    first, start, before = 0, Position(0.0, 0.0), None
     for index, waypoint in enumerate(plan):
-        before = plan[index - 1] if index else None
-        same_row = before is not None and not waypoint.via and waypoint.row_end is not None
-        if not (same_row and before and _row_of(before) == _row_of(waypoint)):
-            rests_at = waypoint.via[-1].position if waypoint.via else before.position if before else None
+        row = None if before is None or waypoint.via else row_of(before)
+        if row is None or row != row_of(waypoint):
+            rests_at = waypoint.via[-1] if waypoint.via else before
             first, start = index, waypoint.position
-            if waypoint.row_start is not None and waypoint.row_start == rests_at:
+            if waypoint.row_start is not None and rests_at and waypoint.row_start == rests_at.position:
                 start = waypoint.row_start
         yield first, start
-
-
-def _row_of(waypoint: Waypoint) -> tuple[Position | None, Position | None]:
-    return waypoint.row_start, waypoint.row_end
-
-
-@dataclass(slots=True)
-class _Stop:
-    """An arrival, `gap_s` after the call before, in range of `servers`.
-
-    The `entered` servers have been in range for that time at the arrival, the others for the whole gap.
-    """
-
-    gap_s: float
-    servers: Sequence[str]
-    entered: Sequence[tuple[str, float]] = ()
+        before = waypoint

@@ -7,6 +7,7 @@ of the whole mission: every leg, every call where the quickest schedule has it, 
 
 from __future__ import annotations
 
+import cmath
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -14,7 +15,7 @@ from dataclasses import replace
 
 from msgspec import Struct
 
-from upwash.core.geo import Position, Reach, Waypoint, ground_distance_m
+from upwash.core.geo import Position, Reach, Waypoint, ground_way
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import Server
 from upwash.core.planning.forecast import make_forecast
@@ -51,14 +52,11 @@ def sweeps(given: Sequence[Waypoint]) -> tuple[Sweep, ...]:
     top = any(given[0] in row for row in rows[(len(rows) + 1) // 2 :])
     right = any(given[0] in column for column in columns[(len(columns) + 1) // 2 :])
     by_rows = len(columns) > 1 and any(given[0] in row and given[1] in row for row in rows)
-    ways = [
-        (top ^ up, right ^ across, along)
-        for along in (by_rows, not by_rows)
-        for up, across in ((False, False), (True, True), (True, False), (False, True))
-    ]
+    corners = ((False, False), (True, True), (True, False), (False, True))
+    ways = itertools.product((by_rows, not by_rows), corners)
     return tuple(
-        _sweep(number, rows, columns, top=top, right=right, by_rows=by_rows)
-        for number, (top, right, by_rows) in enumerate(ways)
+        _sweep(number, rows, columns, top=top ^ up, right=right ^ across, by_rows=along)
+        for number, (along, (up, across)) in enumerate(ways)
     )
 
 
@@ -77,14 +75,11 @@ def _rows(given: Sequence[Waypoint]) -> _Lines:
     if len(given) < 2:
         return []
     # In a full grid the waypoint nearest to any other one is its neighbour in a row or in a column.
-    first = given[0].position
-    near = min(
-        (waypoint.position for waypoint in given[1:]), key=lambda place: ground_distance_m(first, place)
-    )
-    same_m = _SAME_LINE * ground_distance_m(first, near)
-    if same_m == 0:
+    first, *others = (waypoint.position for waypoint in given)
+    to_near = min((ground_way(first, place) for place in others), key=abs)
+    if not to_near:
         return []
-    turned = math.remainder(math.atan2(near.north_m - first.north_m, near.east_m - first.east_m), math.pi / 2)
+    same_m, turned = _SAME_LINE * abs(to_near), math.remainder(cmath.phase(to_near), math.pi / 2)
     east, north = math.cos(turned), math.sin(turned)
     places = [waypoint.position for waypoint in given]
     columns = _lines([place.east_m * east + place.north_m * north for place in places], same_m)

@@ -13,17 +13,16 @@ import copy
 import itertools
 import math
 import operator
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from msgspec import Struct
 
-from upwash.core.geo import Circle, Position, Via, Waypoint, distance_m
+from upwash.core.geo import Circle, Position, Via, Waypoint, distance_m, first_on_way, row_of
 from upwash.core.planning.acts import Acts, Way, cheapest
 from upwash.core.planning.answer_stops import AnswerStops
 from upwash.core.planning.answering import Answering, ServerBelief
 from upwash.core.planning.backlog import LEAST_GAIN_S
-from upwash.core.planning.legs import Leg, Pace
-from upwash.core.planning.motion import Motion, passes, stay_in
+from upwash.core.planning.legs import Motion, Pace, passes
 
 _THERE_M = 1.0  # from a place that need not be flown to
 _ANY_M_S = 1000.0
@@ -75,10 +74,14 @@ class RowForecast(Struct, frozen=True, kw_only=True):
     ground_speed_m_s: float
     mission_s: float
     rows: tuple[RowAnswers, ...]
-    most_open: int
     stops: int
     waited_s: float
     turns_back: int
+
+    @property
+    def most_open(self) -> int:
+        """The most open answers on any row."""
+        return max(row.most_open for row in self.rows)
 
     @property
     def photos_per_s(self) -> float:
@@ -117,6 +120,7 @@ class _Flight:
         self._answering = Answering(
             mission.local_s, mission.servers, gain_switch=mission.gain_switch, newest=mission.newest
         )
+        self._gives_answers = mission.local_s < math.inf  # for which it waits then
         self._here = mission.start
         self._motion: Motion | None = None
         self._open: set[int] = set()
@@ -130,43 +134,21 @@ class _Flight:
             photo_s=mission.photo_s,
             home_s=mission.home_s if mission.returns else None,
         )
-        self._most_open = self._row_open = self._stops = self._turns_back = 0
+        self._row_open = self._stops = self._turns_back = 0
         self._waited_s = 0.0
 
     def flown(self) -> RowForecast:
-        plan, rows = self._mission.plan, []
+        plan = self._mission.plan
         self._hover(self._mission.takeoff_s)
-        for number, row in enumerate(_rows(plan)):
-            begun_s, could = 0.0, 0.0
-            for index in row:
-                self._reach(index)
-                if index == row[0]:
-                    begun_s, could, self._row_open = self._now_s, self._answering.could, 0
-                    ended_s, could_later = begun_s, could
-                else:
-                    ended_s, could_later = self._now_s, self._answering.could
-                self._take_photo(index)
-            length_m = distance_m(plan[row[0]].position, plan[row[-1]].position)
-            rows.append(
-                RowAnswers(
-                    row=number,
-                    photos=len(row),
-                    photos_per_s=(plan[row[-1]].ground_speed_m_s or self._speed_m_s)
-                    * (len(row) - 1)
-                    / length_m
-                    if length_m
-                    else 0.0,
-                    answers_per_s=(could_later - could) / (ended_s - begun_s) if ended_s > begun_s else 0.0,
-                    most_open=self._row_open,
-                )
-            )
+        spots = itertools.groupby(range(len(plan)), key=lambda index: row_of(plan[index]) or index)
+        rows = [self._flown_row(number, list(row)) for number, (_, row) in enumerate(spots)]
         self._target = len(plan)
         self._fly_over(self._mission.leaving)
         self._brake()  # behind a last spot that is not the row's end
         last = self._here
         self._demanding += self._acts.all()
         self._meet()
-        if self._waits:
+        if self._gives_answers:
             self._wait_where_best()
         if not self._mission.returns:
             self._fly(last)
@@ -174,16 +156,30 @@ class _Flight:
             ground_speed_m_s=self._speed_m_s,
             mission_s=self._now_s + self._mission.home_s(self._here),
             rows=tuple(rows),
-            most_open=self._most_open,
             stops=self._stops,
             waited_s=self._waited_s,
             turns_back=self._turns_back,
         )
 
-    @property
-    def _waits(self) -> bool:
-        """Whether the drone waits for answers, as for those that it can give itself."""
-        return self._mission.local_s < math.inf
+    def _flown_row(self, number: int, row: Sequence[int]) -> RowAnswers:
+        """Fly a row of waypoints."""
+        plan, marks = self._mission.plan, list[tuple[float, float]]()
+        for index in row:
+            self._reach(index)
+            if index == row[0]:
+                self._row_open = 0
+            marks.append((self._now_s, self._answering.could))
+            self._take_photo(index)
+        (begun_s, could_before), (ended_s, could) = marks[0], marks[-1]
+        length_m = distance_m(plan[row[0]].position, plan[row[-1]].position)
+        flown_m_s = (plan[row[-1]].ground_speed_m_s or self._speed_m_s) * (len(row) - 1)
+        return RowAnswers(
+            row=number,
+            photos=len(row),
+            photos_per_s=flown_m_s / length_m if length_m else 0.0,
+            answers_per_s=(could - could_before) / (ended_s - begun_s) if ended_s > begun_s else 0.0,
+            most_open=self._row_open,
+        )
 
     @property
     def _now_s(self) -> float:
@@ -196,15 +192,14 @@ class _Flight:
         if index and self._acts.waits_after(index - 1):
             self._demanding += self._acts.due_after(index - 1)
             self._hover(self._mission.photo_s)
-            first: Via | Waypoint = waypoint.via[0] if waypoint.via else waypoint
-            self._meet(Way(self._here, index, first.position))
+            self._meet(Way(self._here, index, first_on_way(waypoint).position))
         self._fly_over(waypoint.via)
         self._get_to(waypoint.position, self._leg_end(index) or waypoint.position, waypoint.ground_speed_m_s)
         if self._motion is None:
             self._hover(waypoint.hold_s)
             if index + 1 < len(plan) and not self._acts.waits_after(index):
                 following = plan[index + 1]
-                first = following.via[0] if following.via else following
+                first = first_on_way(following)
                 end = None if following.via else self._leg_end(index + 1)
                 self._set_off(end or first.position, first.ground_speed_m_s)
 
@@ -236,40 +231,34 @@ class _Flight:
         if self._motion is not None and place == self._motion.end:
             self._rest(place)
 
-    def _row_end(self, index: int) -> Position | None:
-        """The end of the waypoint's row, if the drone is on that row, and the waypoint is ahead."""
-        plan, waypoint = self._mission.plan, self._mission.plan[index]
-        start, end = waypoint.row_start, waypoint.row_end
-        if end is None:
-            return None
-        is_on_row = index > 0 and (plan[index - 1].row_start, plan[index - 1].row_end) == (start, end)
-        is_on_row |= start is not None and distance_m(self._here, start) < _THERE_M
-        return end if is_on_row and passes(self._here, end, waypoint.position) else None
-
     def _leg_end(self, index: int) -> Position | None:
-        """The same, or the first spot on the way there where it rests for acts."""
-        plan, end = self._mission.plan, self._row_end(index)
-        while end is not None and index < len(plan) and plan[index].row_end == end:
-            if self._acts.waits_after(index):
-                return plan[index].position
-            index += 1
-        return end
+        """The end of the waypoint's row, or the first spot on the way there where the drone rests for acts.
+
+        None if the drone is not on that row, or the waypoint is not ahead.
+        """
+        plan, waypoint = self._mission.plan, self._mission.plan[index]
+        if (row := row_of(waypoint)) is None:
+            return None
+        start, end = row
+        is_on_row = index > 0 and row_of(plan[index - 1]) == row
+        is_on_row |= start is not None and distance_m(self._here, start) < _THERE_M
+        if not (is_on_row and passes(self._here, end, waypoint.position)):
+            return None
+        ahead = itertools.takewhile(lambda spot: plan[spot].row_end == end, range(index, len(plan)))
+        return next((plan[spot].position for spot in ahead if self._acts.waits_after(spot)), end)
 
     def _take_photo(self, photo: int) -> None:
         self._open.add(photo)
         self._row_open = max(self._row_open, len(self._open))
-        self._most_open = max(self._most_open, len(self._open))
         self._answering.take(photo, self._now_s + self._mission.photo_s)
-        if self._waits and len(self._open) >= self._mission.at_most:
+        if self._gives_answers and len(self._open) >= self._mission.at_most:
             self._stops += 1
             self._brake()
             self._wait_below(self._mission.at_most)
 
     def _wait_where_best(self) -> None:
         """Wait for all answers here, or in a range where that ends sooner (backlog.py)."""
-        areas = [
-            server.area for server in self._answering.servers.values() if isinstance(server.area, Circle)
-        ]
+        areas = [each.area for each in self._answering.servers.values() if isinstance(each.area, Circle)]
         places = [AnswerStops([area]).beside(self._here, self._here) for area in areas]
         ends = [(self._waited_s_at(place), place) for place in places if place not in (None, self._here)]
         ended_s, place = min(ends, key=lambda end: end[0], default=(math.inf, None))
@@ -350,21 +339,10 @@ class _Flight:
         return last
 
     def _set_off(self, end: Position, ground_speed_m_s: float | None = None) -> None:
-        mission = self._mission
-        leg = Leg(
-            distance_m(self._here, end),
-            ground_speed_m_s or self._speed_m_s,
-            mission.pace.acceleration_m_s2,
-            mission.pace.settling_s,
-        )
+        length_m = distance_m(self._here, end)
+        leg = self._mission.pace.leg(length_m, ground_speed_m_s or self._speed_m_s)
         self._motion = Motion(self._here, end, leg, self._now_s)
-        self._answering.moves(
-            {
-                name: stay
-                for name, server in self._answering.servers.items()
-                if (stay := stay_in(self._motion, server.area)) is not None
-            }
-        )
+        self._answering.flies(self._motion)
 
     def _brake(self) -> None:
         motion = self._motion
@@ -384,13 +362,7 @@ class _Flight:
 
     def _rest(self, place: Position) -> None:
         self._here, self._motion = place, None
-        self._answering.moves(
-            {
-                name: (-math.inf, math.inf)
-                for name, server in self._answering.servers.items()
-                if server.area.contains(place)
-            }
-        )
+        self._answering.rests(place)
 
     def _hover(self, duration_s: float) -> None:
         self._rest(self._here)
@@ -400,12 +372,3 @@ class _Flight:
         """Go on to that time, and keep demands for later."""
         while not self._goes_on(at_s):
             pass
-
-
-def _rows(plan: Sequence[Waypoint]) -> Iterator[list[int]]:
-    """The indices of the waypoints of each row."""
-    rows = itertools.groupby(
-        range(len(plan)), key=lambda index: (plan[index].row_start, plan[index].row_end or index)
-    )
-    for _, row in rows:
-        yield list(row)

@@ -19,7 +19,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
 from operator import attrgetter, ge, le
 from types import MappingProxyType
 from typing import NamedTuple
@@ -97,7 +96,6 @@ class _Stage(NamedTuple):
 
 _Track = tuple[list[float], list[float]]  # a server's delays and head starts; inf and -inf where it has none
 _Arrival = tuple[_Label, float, float]  # at a call: what is left of the server's check, and when it is over
-_Served = tuple[float, float, int, int, float, _Label]  # a label in the making, with its number among others
 _cost_and_rest = attrgetter("cost_s", "ready_in_s")
 _MOST_STARTED = 2  # sets of servers that labels may have started the services of
 _ASKING_S = 1.0  # of a check, before which perhaps no service was started
@@ -126,9 +124,19 @@ def quickest(
     little_s = _LITTLE * max((call.local_s for call in calls), default=0.0)
     started = useful[server].bit if server in useful and ready_in_s <= useful[server].told_s else 0
     first = _Label(0.0, ready_in_s, server, started, ready_in_s, None)
-    labels_within = partial(
-        _through, stages, first, peers, gain_wait=gain_wait, stays=stays, most_labels=most_labels
-    )
+
+    def labels_within(most_s: float) -> list[_Label]:
+        """The labels after the last call that cost at most `most_s`."""
+        labels = [first]
+        for stage in stages:
+            stays_now = stays and labels[0] is first
+            labels = _over(stage, labels, peers, most_s=most_s, gain_wait=gain_wait, stays=stays_now)
+            if most_labels is not None and len(labels) > most_labels:
+                labels = sorted(labels, key=_cost_and_rest)[:most_labels]
+            if not labels:
+                break
+        return labels
+
     best = min(labels_within(least_s + little_s) or labels_within(math.inf), key=_cost_and_rest)
     return Schedule(_servers(best), best.cost_s)
 
@@ -165,7 +173,9 @@ def _useful(
             its_calls_s, its_head_starts_s = tracks[other]
             if (
                 name != server
-                and _is_no_worse(its.check, checks[name])
+                and its.check.stopped_s <= checks[name].stopped_s
+                and its.check.running_s <= checks[name].running_s
+                and its.check.runs_for_s >= checks[name].runs_for_s
                 and all(map(le, its_calls_s, calls_s))
                 and all(map(ge, its_head_starts_s, head_starts_s))
                 and (not peers or _is_no_lonelier(other, name, peers))
@@ -183,14 +193,6 @@ def _rank(track: _Track) -> tuple[int, float]:
     return -len(in_range), sum(in_range)
 
 
-def _is_no_worse(times: CheckTimes, others: CheckTimes) -> bool:
-    return (
-        times.stopped_s <= others.stopped_s
-        and times.running_s <= others.running_s
-        and times.runs_for_s >= others.runs_for_s
-    )
-
-
 def _is_no_lonelier(server: str, other: str, peers: Mapping[str, frozenset[str]]) -> bool:
     """Whether the server has all peers of `other`, and each server that can prepare `other` can prepare it."""
     nobody = frozenset[str]()
@@ -198,29 +200,6 @@ def _is_no_lonelier(server: str, other: str, peers: Mapping[str, frozenset[str]]
     return has_them and all(
         server in told for name, told in peers.items() if other in told and name != server
     )
-
-
-def _through(
-    stages: Sequence[_Stage],
-    first: _Label,
-    peers: Mapping[str, frozenset[str]],
-    most_s: float,
-    *,
-    gain_wait: float,
-    stays: bool,
-    most_labels: int | None,
-) -> list[_Label]:
-    """The labels after the last call that cost at most `most_s`."""
-    labels = [first]
-    for stage in stages:
-        labels = _over(
-            stage, labels, peers, most_s=most_s, gain_wait=gain_wait, stays=stays and labels[0] is first
-        )
-        if not labels:
-            break
-        if most_labels is not None and len(labels) > most_labels:
-            labels = sorted(labels, key=_cost_and_rest)[:most_labels]
-    return labels
 
 
 def _over(
@@ -264,8 +243,7 @@ def _over(
             left_s = check_s - head_start_s
             arrivals.append((label, left_s, called_s + left_s))
         served = _served(arrivals, offer, useful, local_s=local_s, longest_s=longest_s, most_s=most_s)
-        for cost_s, rest_s, _, started, since_s, label in _unbeaten(served):
-            after.append(_Label(cost_s, rest_s, server, started, since_s, label))
+        after += _unbeaten(served)
     return after
 
 
@@ -277,9 +255,9 @@ def _served(
     local_s: float,
     longest_s: float,
     most_s: float,
-) -> list[_Served]:
-    """The cost after the call for each arrival, with the rest of its check; those above `most_s` are left out."""
-    served: list[_Served] = []
+) -> list[_Label]:
+    """The label after the call for each arrival; those that cost more than `most_s` are left out."""
+    served = []
     call_s, told_s, bit = offer.call_s, useful.told_s, useful.bit
     ready_s = min(local_s, call_s)
     for label, left_s, since_s in arrivals:
@@ -291,7 +269,7 @@ def _served(
             cost_s, rest_s = label.cost_s + local_s, max(0.0, left_s - local_s)
         if cost_s <= most_s:
             started = label.started if rest_s > told_s else label.started | bit
-            served.append((cost_s, rest_s, len(served), started, since_s, label))
+            served.append(_Label(cost_s, rest_s, offer.server, started, since_s, label))
     return served
 
 
@@ -304,19 +282,19 @@ def _cheapest(labels: Sequence[_Label]) -> Sequence[_Label]:
     return [first, min(others, key=_cost_and_rest)] if others else [first]
 
 
-def _unbeaten(served: list[_Served]) -> list[_Served]:
-    """Drop arrivals that a cheaper arrival beats in the rest of the check and in started services."""
+def _unbeaten(served: list[_Label]) -> list[_Label]:
+    """Drop labels that a cheaper one beats in the rest of the check and in started services."""
     if len(served) <= 1:
         return served
-    best: list[_Served] = []
-    for one in sorted(served):
-        _, rest_s, _, started, _, _ = one
-        for _, its_rest_s, _, its_started, _, _ in best:
-            if its_rest_s <= rest_s and not started & ~its_started:
+    best: list[_Label] = []
+    for label in sorted(served, key=_cost_and_rest):
+        rest_s, started = label.ready_in_s, label.started
+        for other in best:
+            if other.ready_in_s <= rest_s and not started & ~other.started:
                 break
         else:
-            if len(best) < _MOST_STARTED or len({started, *(other[3] for other in best)}) <= _MOST_STARTED:
-                best.append(one)
+            if len(best) < _MOST_STARTED or len({started, *(each.started for each in best)}) <= _MOST_STARTED:
+                best.append(label)
     return best
 
 

@@ -33,12 +33,12 @@ class Track:
         self.unbroken_s = math.inf  # since when its reports have come without a gap
         self._time_s = -math.inf
         self._speed_m_s = 0.0
-        self._off_east_m = self._off_north_m = 0.0
+        self._off_m = 0j  # east and north
 
     @property
     def off_m(self) -> float:
         """How far all jumps together have moved the position, in metres."""
-        return math.hypot(self._off_east_m, self._off_north_m)
+        return abs(self._off_m)
 
     def take(self, place: Position, *, time_s: float, velocity: Velocity) -> None:
         """Add a position at `time_s`, and the velocity that the vehicle reports with it."""
@@ -54,14 +54,15 @@ class Track:
             return
         self.jumps.append((time_s, moved_m))
         flown_s = passed_s if passed_s <= _GAP_S else 0.0  # in a gap it may have flown anywhere
-        self._off_east_m += place.east_m - before.east_m - velocity.east_m_s * flown_s
-        self._off_north_m += place.north_m - before.north_m - velocity.north_m_s * flown_s
+        off_east_m = place.east_m - before.east_m - velocity.east_m_s * flown_s
+        off_north_m = place.north_m - before.north_m - velocity.north_m_s * flown_s
+        self._off_m += complex(off_east_m, off_north_m)
         if self.off_m <= _NOISE_M:
             self.believe()
 
     def believe(self) -> None:
         """Accept the present place as true."""
-        self._off_east_m = self._off_north_m = 0.0
+        self._off_m = 0j
 
 
 class Continuity:

@@ -34,36 +34,36 @@ class Targets:
     """
 
     def __init__(self) -> None:
-        self._obeyed: Position | None = None  # None: a take-off, which reports no target
-        self._pending: Position | None = None
-        self._is_pending = False
-        self._is_known = False  # what it steers to
+        # The last command, and the one on its way: () without one, None for a take-off, which reports no target.
+        self._obeyed: tuple[Position | None, ...] = ()
+        self._pending: tuple[Position | None, ...] = ()
 
     def send(self, place: Position | None) -> None:
         """Note that a command to `place` is about to be sent; None for a take-off, which has no target."""
-        self._pending, self._is_pending = place, True
+        self._pending = (place,)
 
     def settle(self, *, obeyed: bool) -> None:
         """Note whether the vehicle obeyed the last command or refused it."""
-        if obeyed and self._is_pending:
-            self._obeyed, self._is_known = self._pending, True
-        self._is_pending = False
+        if obeyed:
+            self._obeyed = self._pending or self._obeyed
+        self._pending = ()
 
     def difference(self, reported: Position | None) -> str:
         """How a reported target, None for a velocity, differs from the commands; "" if it does not."""
-        if not self._is_known:
-            if reported is not None and not self._is_pending:
-                self._obeyed, self._is_known = reported, True
+        if not self._obeyed:
+            if reported is not None and not self._pending:
+                self._obeyed = (reported,)
             return ""
-        expected = [self._obeyed, *([self._pending] if self._is_pending else [])]
         if reported is None:
-            return "" if self._is_pending else "it follows a velocity that the program did not command"
+            return "" if self._pending else "it follows a velocity that the program did not command"
+        expected = (*self._obeyed, *self._pending)
         if any(place is not None and distance_m(place, reported) <= _SAME_PLACE_M for place in expected):
             return ""
         there = f"{reported.east_m:.0f} m east, {reported.north_m:.0f} m north"
-        if self._obeyed is None:
+        (obeyed,) = self._obeyed
+        if obeyed is None:
             return f"it was sent to {there}, which the program did not command"
-        apart_m = distance_m(self._obeyed, reported)
+        apart_m = distance_m(obeyed, reported)
         return f"it was sent to {there}, {apart_m:.0f} m from where the program sent it"
 
 
@@ -111,21 +111,21 @@ class ControlChange(StrEnum):
     RESTARTED = "autopilot restarted"
 
 
-_BY_EVIDENCE = {
+_MODES = {
     ControlChange.MODE_CHANGED: Owner.UNKNOWN,
     ControlChange.MODE_SWITCHED: Owner.PILOT,
     ControlChange.MODE_COMMANDED: Owner.GROUND_STATION,
     ControlChange.MODE_FAILED_SAFE: Owner.FAILSAFE,
+}
+_BY_EVIDENCE = {
+    **_MODES,
     ControlChange.ARMED: Owner.UNKNOWN,
     ControlChange.ARMED_BY_REMOTE: Owner.PILOT,
     ControlChange.RESTARTED: Owner.UNKNOWN,
 }
 TRANSITIONS: Mapping[tuple[Owner, ControlChange], Owner] = {
     (Owner.NOBODY, ControlChange.CLAIMED): Owner.PROGRAM,
-    (Owner.NOBODY, ControlChange.MODE_CHANGED): Owner.NOBODY,  # a switch on the ground
-    (Owner.NOBODY, ControlChange.MODE_SWITCHED): Owner.NOBODY,
-    (Owner.NOBODY, ControlChange.MODE_COMMANDED): Owner.NOBODY,
-    (Owner.NOBODY, ControlChange.MODE_FAILED_SAFE): Owner.NOBODY,
+    **{(Owner.NOBODY, change): Owner.NOBODY for change in _MODES},  # a switch on the ground
     (Owner.NOBODY, ControlChange.ARMED): Owner.UNKNOWN,
     (Owner.NOBODY, ControlChange.ARMED_BY_REMOTE): Owner.PILOT,
     (Owner.NOBODY, ControlChange.FOUND_FAILING_SAFE): Owner.FAILSAFE,
@@ -287,13 +287,11 @@ class Latch:
         changed = report.armed and report.mode != before.mode  # disarmed it may go back to an earlier mode
         if changed or (report.failsafe and report.failsafe != before.failsafe):  # the cause may come late
             self._take_mode(report, now_s, "")
-        elif report.remote_moved and report.mode != self._mode and self._lost_lately(now_s):
-            why = f"the vehicle is in mode {report.mode} (the remote control moved)"
-            self._take(ControlChange.REMOTE_MOVED, why, now_s)
-
-    def _lost_lately(self, now_s: float) -> bool:
-        lost = self.control
-        return lost.owner is Owner.GROUND_STATION and now_s - lost.since_s <= _KNOWN_LATE_S
+        elif report.remote_moved and report.mode != self._mode:
+            lost = self.control
+            if lost.owner is Owner.GROUND_STATION and now_s - lost.since_s <= _KNOWN_LATE_S:
+                why = f"the vehicle is in mode {report.mode} (the remote control moved)"
+                self._take(ControlChange.REMOTE_MOVED, why, now_s)
 
     def _take_mode(self, report: Heartbeat, now_s: float, instead_of: str) -> None:
         if report.failsafe:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 
 from msgspec import Struct
 
-from upwash.core.geo import Position, Velocity, ahead, ground_distance_m
+from upwash.core.geo import Position, Velocity, ahead, ground_way
 from upwash.core.vehicle.return_place import ReturnPlace
 from upwash.core.vehicle.way_home import (
     LOOK_S,
@@ -169,37 +169,34 @@ class Consumption:
         return max(before_percent - percent + _STEP_PERCENT, 0.0) / flown_s if flown_s >= _LEAST_S else 0.0
 
 
-class _SlowLeg(Struct, frozen=True):
-    """A stretch flown steadily, and slower than commanded."""
-
-    time_s: float
-    east: float  # the direction, of length 1
-    north: float
-    short_m_s: float
-
-
 class Wind:
     """The ground speed lost to wind, by the vehicle's reports of wind and by legs that were slow."""
 
     def __init__(self) -> None:
         self._reported: Velocity | None = None
-        self._slow: deque[_SlowLeg] = deque()
-        self._steady: deque[tuple[float, Velocity, float]] = deque()
+        # When a leg was flown steadily and slower than commanded, its direction (of length 1), and how much slower.
+        self._slow: deque[tuple[float, complex, float]] = deque()
+        self._steady: deque[tuple[float, complex, float]] = deque()  # when, at what velocity, as commanded
 
     def take(self, report: FlightReport) -> None:
         """Takes in a report of a vehicle in flight; times never go back."""
         self._reported = report.wind or self._reported
-        while self._slow and self._slow[0].time_s < report.time_s - _WIND_KEPT_S:
+        while self._slow and self._slow[0][0] < report.time_s - _WIND_KEPT_S:
             self._slow.popleft()
         velocity, told_m_s = report.velocity, report.leg_speed_m_s
         if velocity is None or told_m_s is None or abs(velocity.up_m_s) > _LEVEL_M_S:
             self._steady.clear()
             return
-        self._steady.append((report.time_s, velocity, told_m_s))
-        while any(_changed(past, self._steady[-1]) for past in self._steady):
+        flown_m_s = complex(velocity.east_m_s, velocity.north_m_s)
+        self._steady.append((report.time_s, flown_m_s, told_m_s))
+        while any(
+            told_m_s != before_m_s or abs(flown_m_s - past_m_s) > _STEADY_M_S
+            for _, past_m_s, before_m_s in self._steady
+        ):
             self._steady.popleft()
-        if report.time_s - self._steady[0][0] >= _STEADY_S:
-            self._note_slowness(report.time_s, velocity, told_m_s)
+        is_steady = report.time_s - self._steady[0][0] >= _STEADY_S
+        if is_steady and _LEAST_M_S <= abs(flown_m_s) < told_m_s:
+            self._slow.append((report.time_s, flown_m_s / abs(flown_m_s), told_m_s - abs(flown_m_s)))
 
     def against_m_s(self, start: Position, end: Position, speed_m_s: float) -> float:
         """Metres per second of ground speed lost at that air speed, on the way from start to end.
@@ -207,36 +204,20 @@ class Wind:
         If both places are the same it is the loss in the worst direction, as a moving vehicle may come back from any
         side.
         """
-        length_m = ground_distance_m(start, end)
-        if length_m == 0:
+        way = ground_way(start, end)
+        if not way:
             reported_m_s = self._reported.ground_m_s if self._reported else 0.0
-            return max(reported_m_s, *(leg.short_m_s for leg in self._slow), 0.0)
-        east, north = (end.east_m - start.east_m) / length_m, (end.north_m - start.north_m) / length_m
-        slow_m_s = max(
-            (leg.short_m_s * (leg.east * east + leg.north * north) for leg in self._slow), default=0.0
-        )
-        return max(0.0, slow_m_s, self._reported_against_m_s(east, north, speed_m_s))
+            return max(reported_m_s, *(short_m_s for _, _, short_m_s in self._slow), 0.0)
+        way /= abs(way)
+        slow_m_s = [short_m_s * (slow * way.conjugate()).real for _, slow, short_m_s in self._slow]
+        return max(0.0, *slow_m_s, self._reported_against_m_s(way, speed_m_s))
 
-    def _reported_against_m_s(self, east: float, north: float, speed_m_s: float) -> float:
+    def _reported_against_m_s(self, way: complex, speed_m_s: float) -> float:
         if self._reported is None:
             return 0.0
-        head_m_s = -(self._reported.east_m_s * east + self._reported.north_m_s * north)
-        cross_m_s = abs(self._reported.east_m_s * north - self._reported.north_m_s * east)
-        ahead_m_s = math.sqrt(max(0.0, speed_m_s**2 - cross_m_s**2))  # with the nose into the wind
-        return speed_m_s - ahead_m_s + max(0.0, head_m_s)
-
-    def _note_slowness(self, time_s: float, velocity: Velocity, told_m_s: float) -> None:
-        ground_m_s = math.hypot(velocity.east_m_s, velocity.north_m_s)
-        if not _LEAST_M_S <= ground_m_s < told_m_s:
-            return
-        east, north = velocity.east_m_s / ground_m_s, velocity.north_m_s / ground_m_s
-        self._slow.append(_SlowLeg(time_s, east, north, told_m_s - ground_m_s))
-
-
-def _changed(before: tuple[float, Velocity, float], now: tuple[float, Velocity, float]) -> bool:
-    (_, past, past_told_m_s), (_, velocity, told_m_s) = before, now
-    east_m_s, north_m_s = velocity.east_m_s - past.east_m_s, velocity.north_m_s - past.north_m_s
-    return told_m_s != past_told_m_s or math.hypot(east_m_s, north_m_s) > _STEADY_M_S
+        blows = complex(self._reported.east_m_s, self._reported.north_m_s) * way.conjugate()
+        ahead_m_s = math.sqrt(max(0.0, speed_m_s**2 - blows.imag**2))  # with the nose into the wind
+        return speed_m_s - ahead_m_s + max(0.0, -blows.real)
 
 
 def in_battery(number: int | None) -> str:

@@ -11,7 +11,16 @@ from collections.abc import Iterator, Sequence
 
 from msgspec import Struct
 
-from upwash.core.geo import Circle, Position, ground_distance_m, part_way
+from upwash.core.geo import (
+    Circle,
+    Position,
+    ground_distance_m,
+    ground_way,
+    inside,
+    nearest_share,
+    part_way,
+    to_border_m,
+)
 
 _ON_THE_BORDER_M = 1e-3  # a tenth of the step of coordinates in plans
 
@@ -38,20 +47,12 @@ class Polygon(Struct, frozen=True):
                 crossed ^= position.east_m < start.east_m + share * (end.east_m - start.east_m)
         return crossed
 
-    def contains_leg(self, start: Position, end: Position) -> bool:
-        """Whether all of a straight leg lies within the polygon."""
-        return _contain_leg((self,), start, end)
-
-    def meets_leg(self, start: Position, end: Position) -> bool:
-        """Whether any of a straight leg lies within the polygon."""
-        return self.contains(start) or any(True for _ in self.met_at(start, end)) or self.contains(end)
-
     def met_at(self, start: Position, end: Position) -> Iterator[float]:
         """Where the leg crosses a side or passes a corner, each as a share of its length from 0 to 1."""
         for corner, following in self.borders:
             if _clearly_apart(start, end, corner, following):
                 continue
-            share = _nearest_share(corner, start, end)
+            share = nearest_share(corner, start, end)
             if ground_distance_m(corner, part_way(start, end, share)) <= _ON_THE_BORDER_M:
                 yield share
             crossing = _crossing_share(start, end, corner, following)
@@ -68,10 +69,6 @@ class AreaUnion(Struct, frozen=True):
         """Whether the position lies within one of the areas, its border included."""
         return any(area.contains(position) for area in self.areas)
 
-    def contains_leg(self, start: Position, end: Position) -> bool:
-        """Whether each place of a straight leg lies within one of the areas."""
-        return _contain_leg(self.areas, start, end)
-
 
 class Fence(Struct, frozen=True):
     """One area of a geofence; messages use its `name`."""
@@ -86,22 +83,22 @@ class Fence(Struct, frozen=True):
 
     def allows_leg(self, start: Position, end: Position) -> bool:
         """Whether the fence allows the straight leg from `start` to `end`."""
-        match self.area:
-            case Polygon() | AreaUnion() as area if self.inclusion:
-                return area.contains_leg(start, end)
-            case Circle() as circle if self.inclusion:
-                return circle.contains(start) and circle.contains(end)
-            case area:
-                return not any(_meets_leg(single, start, end) for single in _single(area))
+        if isinstance(self.area, Circle) and self.inclusion:
+            return self.area.contains(start) and self.area.contains(end)
+        if self.inclusion:
+            return _contain_leg(self._areas, start, end)
+        return not any(_meets_leg(area, start, end) for area in self._areas)
 
     def clearance_m(self, position: Position) -> float:
         """Metres from an allowed position to the nearest forbidden one; a lower bound in joined areas."""
         distances_m = (
-            _to_border_m(area, position)
-            for area in _single(self.area)
-            if area.contains(position) == self.inclusion
+            _to_border_m(area, position) for area in self._areas if area.contains(position) == self.inclusion
         )
         return max(distances_m, default=0.0) if self.inclusion else min(distances_m, default=math.inf)
+
+    @property
+    def _areas(self) -> tuple[Polygon | Circle, ...]:
+        return self.area.areas if isinstance(self.area, AreaUnion) else (self.area,)
 
 
 def breached_by_position(fences: Sequence[Fence], position: Position) -> Fence | None:
@@ -131,10 +128,6 @@ def breached_by_way(fences: Sequence[Fence], places: Sequence[Position]) -> Fenc
     return next((fence for leg in legs if (fence := breached_by_leg(fences, *leg)) is not None), None)
 
 
-def _single(area: Polygon | Circle | AreaUnion) -> tuple[Polygon | Circle, ...]:
-    return area.areas if isinstance(area, AreaUnion) else (area,)
-
-
 def _contain_leg(areas: Sequence[Polygon | Circle], start: Position, end: Position) -> bool:
     """Whether the areas together contain the leg: between two crossings of borders one place stands for all."""
     shares = sorted({0.0, 1.0, *(share for area in areas for share in _met_at(area, start, end))})
@@ -144,19 +137,21 @@ def _contain_leg(areas: Sequence[Polygon | Circle], start: Position, end: Positi
 
 
 def _met_at(area: Polygon | Circle, start: Position, end: Position) -> Iterator[float]:
-    return area.met_at(start, end) if isinstance(area, Polygon) else _circle_met_at(area, start, end)
+    if isinstance(area, Polygon):
+        return area.met_at(start, end)
+    return (share for share in inside(area, start, end) or () if 0 <= share <= 1)
 
 
 def _meets_leg(area: Polygon | Circle, start: Position, end: Position) -> bool:
-    if isinstance(area, Polygon):
-        return area.meets_leg(start, end)
-    return _distance_to_line_m(area.centre, start, end) <= area.radius_m
+    if isinstance(area, Circle):
+        return _distance_to_line_m(area.centre, start, end) <= area.radius_m
+    return area.contains(start) or any(True for _ in area.met_at(start, end)) or area.contains(end)
 
 
 def _to_border_m(area: Polygon | Circle, position: Position) -> float:
     if isinstance(area, Polygon):
         return min(_distance_to_line_m(position, *side) for side in area.borders)
-    return abs(ground_distance_m(area.centre, position) - area.radius_m)
+    return to_border_m(area, position)
 
 
 def _clearly_apart(start: Position, end: Position, corner: Position, following: Position) -> bool:
@@ -169,46 +164,18 @@ def _clearly_apart(start: Position, end: Position, corner: Position, following: 
     )
 
 
-def _nearest_share(position: Position, start: Position, end: Position) -> float:
-    east_m, north_m = end.east_m - start.east_m, end.north_m - start.north_m
-    squared = east_m**2 + north_m**2
-    if squared == 0:
-        return 0.0
-    ahead = (position.east_m - start.east_m) * east_m + (position.north_m - start.north_m) * north_m
-    return min(1.0, max(0.0, ahead / squared))
-
-
-def _circle_met_at(circle: Circle, start: Position, end: Position) -> Iterator[float]:
-    length_m = ground_distance_m(start, end)
-    if length_m == 0:
-        return
-    to_east_m, to_north_m = circle.centre.east_m - start.east_m, circle.centre.north_m - start.north_m
-    ahead_m = (
-        to_east_m * (end.east_m - start.east_m) + to_north_m * (end.north_m - start.north_m)
-    ) / length_m
-    half_chord_squared = circle.radius_m**2 - (to_east_m**2 + to_north_m**2 - ahead_m**2)
-    if half_chord_squared < 0:
-        return
-    half_chord_m = math.sqrt(half_chord_squared)
-    yield from (
-        crossing_m / length_m
-        for crossing_m in (ahead_m - half_chord_m, ahead_m + half_chord_m)
-        if 0 <= crossing_m <= length_m
-    )
-
-
 def _distance_to_line_m(position: Position, start: Position, end: Position) -> float:
-    return ground_distance_m(position, part_way(start, end, _nearest_share(position, start, end)))
+    return ground_distance_m(position, part_way(start, end, nearest_share(position, start, end)))
 
 
 def _crossing_share(start: Position, end: Position, corner: Position, following: Position) -> float | None:
     """Where the leg crosses the side, as a share of its length from 0 to 1; None if it does not, or is parallel."""
-    east_m, north_m = end.east_m - start.east_m, end.north_m - start.north_m
-    side_east_m, side_north_m = following.east_m - corner.east_m, following.north_m - corner.north_m
-    slant = east_m * side_north_m - north_m * side_east_m
-    if slant == 0:
+    way, side, to_corner = ground_way(start, end), ground_way(corner, following), ground_way(start, corner)
+    if (slant := _cross(way, side)) == 0:
         return None
-    to_east_m, to_north_m = corner.east_m - start.east_m, corner.north_m - start.north_m
-    share = (to_east_m * side_north_m - to_north_m * side_east_m) / slant
-    side_share = (to_east_m * north_m - to_north_m * east_m) / slant
+    share, side_share = _cross(to_corner, side) / slant, _cross(to_corner, way) / slant
     return share if 0 <= share <= 1 and 0 <= side_share <= 1 and math.isfinite(share) else None
+
+
+def _cross(a: complex, b: complex) -> float:
+    return a.real * b.imag - a.imag * b.real

@@ -45,7 +45,8 @@ class ReturnWatch:
             self._rests_at, self._rests_since_s = position, now_s
         if self._is_at_place:
             self._highest_m = max(self._highest_m, position.altitude_m)
-        if self._comes_nearer():
+        nearer = self._is_at_place or self.away_m <= self._nearest_m - _NEARER_M
+        if nearer or abs(position.altitude_m - self._level_m) >= _NEARER_M:
             self._nearest_m = min(self._nearest_m, self.away_m)
             self._level_m, self._nearer_s = position.altitude_m, now_s
 
@@ -75,7 +76,3 @@ class ReturnWatch:
         if way.waits_s and abs(altitude_m - way.low_m) <= _RESTS_M:
             return 0.0 if math.isinf(way.waits_s) else min(way.waits_s, LONGEST_WAIT_S)
         return 0.0 if altitude_m < self._highest_m - _SUNK_M else self._rest_s
-
-    def _comes_nearer(self) -> bool:
-        nearer = self.away_m <= self._nearest_m - _NEARER_M
-        return nearer or self._is_at_place or abs(self._here.altitude_m - self._level_m) >= _NEARER_M

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -82,7 +81,7 @@ class Telemetry:
     @property
     def ground_speed_m_s(self) -> float | None:
         """The ground speed; None if not reported."""
-        return None if self.velocity is None else math.hypot(self.velocity.east_m_s, self.velocity.north_m_s)
+        return None if self.velocity is None else self.velocity.ground_m_s
 
     @property
     def climb_m_s(self) -> float | None:

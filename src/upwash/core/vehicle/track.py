@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from upwash.core.geo import Position
+from upwash.core.geo import Position, ground_distance_m, nearest_share, part_way
 
 THERE_M = 1.0  # a place is reached within that
 NEAR_M = 20.0  # a place is passed within that, where the track is nearest to it
@@ -66,12 +66,6 @@ def _nearest(
     spot: Position, start: Position, end: Position, *, begins_s: float, ends_s: float, from_s: float
 ) -> tuple[float, float]:
     """When a straight stretch is nearest to the spot, not before `from_s`, and how near."""
-    east_m, north_m = end.east_m - start.east_m, end.north_m - start.north_m
-    squared, lasts_s = east_m**2 + north_m**2, ends_s - begins_s
-    along = (spot.east_m - start.east_m) * east_m + (spot.north_m - start.north_m) * north_m
-    share = along / squared if squared else 0.0
-    share = min(1.0, max((from_s - begins_s) / lasts_s, share))
-    off_m = math.hypot(
-        start.east_m + share * east_m - spot.east_m, start.north_m + share * north_m - spot.north_m
-    )
-    return begins_s + share * lasts_s, off_m
+    lasts_s = ends_s - begins_s
+    share = max((from_s - begins_s) / lasts_s, nearest_share(spot, start, end))
+    return begins_s + share * lasts_s, ground_distance_m(part_way(start, end, share), spot)
