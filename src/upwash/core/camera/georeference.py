@@ -9,7 +9,6 @@ ground to first order. Vectors are east, north and up.
 
 from __future__ import annotations
 
-import cmath
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -255,10 +254,22 @@ class Sight:
 def _turned(vector: Vector, attitude: Attitude) -> Vector:
     """A vector forward, right and down from a vehicle with that attitude: east, north and up."""
     forward, right, down = vector
-    rolled = complex(right, down) * cmath.rect(1, math.radians(attitude.roll_deg))
-    pitched = complex(forward, rolled.imag) * cmath.rect(1, -math.radians(attitude.pitch_deg))
-    level = complex(rolled.real, pitched.real) * cmath.rect(1, -math.radians(attitude.yaw_deg))
-    return level.real, level.imag, -pitched.imag
+    roll, pitch, yaw = (
+        math.radians(angle) for angle in (attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg)
+    )
+    right, down = (
+        right * math.cos(roll) - down * math.sin(roll),
+        right * math.sin(roll) + down * math.cos(roll),
+    )
+    forward, down = (
+        forward * math.cos(pitch) + down * math.sin(pitch),
+        down * math.cos(pitch) - forward * math.sin(pitch),
+    )
+    return (
+        forward * math.sin(yaw) + right * math.cos(yaw),
+        forward * math.cos(yaw) - right * math.sin(yaw),
+        -down,
+    )
 
 
 def _sum(errors: Iterable[complex]) -> tuple[float, float, float]:
