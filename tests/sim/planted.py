@@ -41,7 +41,6 @@ from upwash.core.admission.watchdog import InstanceFailures as DaemonFailures
 from upwash.core.admission.watchdog import Limit, Watch
 from upwash.core.call import steps
 from upwash.core.call.call import Call
-from upwash.core.call.calls import Calls
 from upwash.core.geo import Position, Waypoint
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import Server, ServerTable, State, Trigger
@@ -106,9 +105,9 @@ def wait_without_bound(decide: Any, self: WaitRule, call: CallInputs) -> Any:
 
 
 @planted("the program waits longer than was decided", Call, "decide")
-def wait_not_watched(decide: Any, self: Call, calls: Calls, **more: Any) -> None:
-    decide(self, calls, **more)
-    self.check_until_s = calls.now_s + 3 * (self.check_until_s - calls.now_s) + 1
+def wait_not_watched(decide: Any, self: Call, **more: Any) -> None:
+    decide(self, **more)
+    self.check_until_s = self.calls.now_s + 3 * (self.check_until_s - self.calls.now_s) + 1
 
 
 @planted("a remote call's deadline is ignored", ServerSession, "call")

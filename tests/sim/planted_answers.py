@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
-from tests.sim.planting import plant, planted
+from msgspec.structs import replace
+from tests.sim.planting import planted
 
 from upwash.core.call.call import Call
+from upwash.core.call.twice import Twice
+from upwash.core.selection.settings import TwoAnswers
 from upwash.drone.answers import AnswerAction
 from upwash.drone.offloading import Offloading
 from upwash.drone.pending import Demand
 from upwash.drone.settling import Settling
 
-plant(
-    "a better answer counts after its deadline",
-    Call,
-    "by_s",
-    property(lambda self: self.made_s + (self.two.within_s + 20.0 if self.two else math.inf)),
-)
+
+@planted("a better answer counts after its deadline", Twice, "__init__")
+def waits_longer(init: Any, self: Twice, call: Call, two: TwoAnswers) -> None:
+    init(self, call, replace(two, within_s=two.within_s + 20.0))
 
 
 @planted("the first answer counts where a better one came", Offloading, "_answer")

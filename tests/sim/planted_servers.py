@@ -31,9 +31,10 @@ def says_nothing(do: Any, self: Calls, step: Any) -> None:
         do(self, step)
 
 
-@planted("a call that was answered ends without an answer too", Call, "_end")
-def ends_twice(end: Any, self: Call, calls: Calls, source: Any) -> None:
-    end(self, calls, source)
+@planted("a call that was answered ends without an answer too", Call, "end")
+def ends_twice(end: Any, self: Call, source: Any) -> None:
+    calls = self.calls
+    end(self, source)
     if self.asked.on_servers:
         about, operation = self.asked.waypoint, str(self.asked.operation)
         calls.do(

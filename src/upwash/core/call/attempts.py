@@ -59,7 +59,6 @@ class Attempt:
     raised: str = ""  # the exception of the service that the server reports
     delay_s: float = 0.0  # until that report
     verdict: Literal["", "confirmed", "denied"] = ""  # of the drone's own service, on the report
-    holds_place: bool = False  # the call's place in line is this server's
 
     @property
     def is_open(self) -> bool:

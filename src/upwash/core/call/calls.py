@@ -24,6 +24,8 @@ from typing import Literal
 from upwash.core.call import steps
 from upwash.core.call.attempts import Attempt, Computing
 from upwash.core.call.call import Call
+from upwash.core.call.on_servers import OnServers
+from upwash.core.call.outcomes import Outcomes
 from upwash.core.call.steps import CallEvent, Instruction, MissionEvent
 from upwash.core.geo import Position
 from upwash.core.operation import ON_DRONE, Operation, name_of
@@ -75,6 +77,7 @@ class Calls:
         self.selection, self.hedging, self.deadlines = selection, hedging, deadlines
         self.placement, self.estimates, self.lanes = selection.placement, selection.estimates, selection.lanes
         self.lanes.newest_first, self.lanes.has_line = first == "newest", first is not None
+        self.outcomes = Outcomes(self)
         self.now_s, self.here = 0.0, Position(0.0, 0.0)
         self.news = 0  # how often something has changed that calls may wait for
         self.told = 0  # how often the selection has learnt or decided something
@@ -104,19 +107,10 @@ class Calls:
                 self.tell(event)
             case steps.News():
                 self._look()
-            case steps.Replied():
-                self._replied(event)
-            case steps.NotBegun():
-                self._not_begun(event)
-            case steps.SlotLost(attempt, why):
-                self.tell(events.SlotTaken(attempt.check, why, in_call=True))
-                attempt.call.ended(self, attempt, "failed")
-            case steps.Failed():
-                self._failed(event)
-            case steps.Reduced(attempt):
-                attempt.call.reduced(self, event)
             case steps.Computed(computing):
-                computing.call.computed(self, event)
+                computing.call.computed(event)
+            case steps.Reduced() | steps.Replied() | steps.NotBegun() | steps.SlotLost() | steps.Failed():
+                self.outcomes.take_in(event)
             case _:
                 self._hear(event)
 
@@ -126,17 +120,19 @@ class Calls:
                 self._make(call)
             case steps.Waited(call):
                 call.is_waited_for = True
-                self._hurry(call)
+                if isinstance(call.manner, OnServers):
+                    call.manner.hurry()
+                self.wake()
             case steps.Enough(call):
                 call.is_enough = True
-                if call.asked.on_servers:
-                    call.limit(self, "the mission dropped it")
+                if isinstance(call.manner, OnServers):
+                    call.manner.limit("the mission dropped it")
                 self.wake()
             case steps.Abandoned(call):
-                call.abandon(self)
+                call.abandon()
             case steps.EndWaiting(why):
-                for call in self.waiting:
-                    call.limit(self, why)
+                for waiting in self.waiting:
+                    waiting.limit(why)
 
     @property
     def due_s(self) -> float:
@@ -147,9 +143,9 @@ class Calls:
         return min((due_s for due_s in times_s if due_s > self.now_s), default=math.inf)
 
     @property
-    def waiting(self) -> list[Call]:
+    def waiting(self) -> list[OnServers]:
         """The open calls that only servers compute, the oldest first."""
-        return [call for call in self._open if call.asked.on_servers]
+        return [call.manner for call in self._open if isinstance(call.manner, OnServers)]
 
     @property
     def is_busy(self) -> bool:
@@ -175,18 +171,30 @@ class Calls:
     # --- the line -------------------------------------------------------------------------------------------
 
     def _make(self, call: Call) -> None:
-        call.made_s = self.now_s
         self._open.append(call)
+        call.make(self)
         if call.asked.on_servers:
-            self._begin_waiting(call)
+            self._bound_waiting(call.asked.operation.service)
         self.enter(call, on_drone=call.asked.once)
-        if call.asked.on_servers and call.is_waited_for:
-            self._hurry(call)
+        if call.is_waited_for and isinstance(call.manner, OnServers):
+            call.manner.hurry()
+
+    def _bound_waiting(self, service: str) -> None:
+        """End the oldest waiting calls of a service whose requests need more memory than they may."""
+        most_bytes = self._waiting_bytes[service]
+        its = [each for each in self.waiting if each.call.asked.operation.service == service]
+        sizes = [each.call.asked.size_bytes(each.call.asked.operation) for each in its]
+        over_bytes = sum(sizes) - most_bytes
+        for each, size_bytes in zip(its, sizes, strict=True):
+            if over_bytes > 0:
+                why = f"calls that wait for a server keep more than service.waiting_bytes = {most_bytes}"
+                each.limit(why)
+                over_bytes -= size_bytes
 
     def enter(self, call: Call, *, on_drone: bool = False) -> None:
         """Put the call into the line, at the place of the time when it was made; without a line decide it now."""
         if not self.lanes.has_line:
-            call.decide(self)
+            call.decide()
             return
         operation = call.asked.operation
         place = self._places[call] = _Waiting(
@@ -215,7 +223,7 @@ class Calls:
         self.wake()  # another is first now
         self._deciding, self._unused_since_s = place.call, None
         drone_is_busy = not self.lanes.is_free(ON_DRONE)
-        place.call.decide(self, on_drone=where == "drone", drone_is_busy=drone_is_busy)
+        place.call.decide(on_drone=where == "drone", drone_is_busy=drone_is_busy)
 
     def _watch_unused(self) -> None:
         """Raise PolicyDefect if the policy uses no lane for too long."""
@@ -267,7 +275,7 @@ class Calls:
     def _look(self) -> None:
         for call in list(self._open):
             if not call.is_over:
-                call.look(self)
+                call.look()
         self._step()
 
     # --- decisions ------------------------------------------------------------------------------------------
@@ -302,9 +310,9 @@ class Calls:
             self._decided(call, operation, remote)
         return remote, again_s
 
-    def better(self, call: Call, *, is_next: bool) -> tuple[Remote | None, bool]:
+    def better(self, call: Call, by_s: float, *, is_next: bool) -> tuple[Remote | None, bool]:
         """The server for the call's better answer, logged, or None; and whether one may become of use in time."""
-        remote, may_come = self.placement.better(call.operation, call.by_s, self.now_s, is_next=is_next)
+        remote, may_come = self.placement.better(call.operation, by_s, self.now_s, is_next=is_next)
         if remote is not None:
             self._decided(call, call.operation, remote)
         return remote, may_come
@@ -349,11 +357,11 @@ class Calls:
         self.deadlines.asked(first.operation)
         return server.name
 
-    def is_next(self, call: Call, server: str) -> bool:
+    def is_next(self, call: Call, server: str, by_s: float) -> bool:
         """Whether the call is the next for a better answer of the server, which is free."""
         if not self.lanes.has_line:
             return True
-        self._wanted[call] = call.by_s - (self.estimates.remote_s(server, call.asked.operation) or 0.0)
+        self._wanted[call] = by_s - (self.estimates.remote_s(server, call.asked.operation) or 0.0)
         if self._deciding is not None or not self.lanes.is_free(server):
             return False
         in_time = [wanted for wanted, latest_s in self._wanted.items() if latest_s >= self.now_s]
@@ -384,150 +392,6 @@ class Calls:
         """Send the attempt's request."""
         may_queue_s = self.placement.may_queue_s(attempt.server, attempt.operation, deadline_s, self.now_s)
         self.do(steps.Send(attempt, deadline_s, may_queue_s))
-
-    def _replied(self, reply: steps.Replied) -> None:
-        attempt = reply.attempt
-        call, delay_s = attempt.call, self.now_s - attempt.counts_from_s
-        if reply.raised:
-            attempt.raised, attempt.delay_s = reply.raised, delay_s
-            self._doubt(attempt)
-            self._reached(attempt, delay_s, reply.size_bytes)
-            call.ended(self, attempt, "raised")
-            return
-        is_late, less = call.is_late(attempt), attempt.sends_less
-        if is_late and (call.two is None or call.is_over):
-            self.do(schema.Dropped(operation=str(attempt.operation), place=attempt.server))
-        self.deadlines.answered(attempt.server, attempt.operation, delay_s)
-        self.hedging.answered(attempt.server, attempt.operation, delay_s, less=less)
-        self.tell(
-            events.RemoteCallEnded(
-                attempt.server,
-                attempt.operation,
-                delay_s,
-                is_late,
-                less,
-                min(reply.queued_s, delay_s),
-                reply.queue_s,
-            )
-        )
-        self._reached(attempt, delay_s, reply.size_bytes)
-        call.ended(self, attempt, "answered")
-
-    def _not_begun(self, event: steps.NotBegun) -> None:
-        attempt, why, queue_s = event.attempt, event.why, event.queue_s
-        waited_s = self.now_s - attempt.counts_from_s
-        self.do(
-            schema.RemoteQueued(
-                waypoint=attempt.call.asked.waypoint,
-                server=attempt.server,
-                check=attempt.check,
-                waited_s=waited_s,
-                queue_s=queue_s,
-                why=why,
-            )
-        )
-        is_late = attempt.call.is_late(attempt)
-        self.tell(events.RemoteCallQueued(attempt.server, why, waited_s, queue_s, is_late))
-        attempt.call.ended(self, attempt, "queued")
-
-    def _failed(self, failure: steps.Failed) -> None:
-        attempt, why = failure.attempt, failure.why
-        delay_s = self.now_s - attempt.counts_from_s
-        self.do(schema.RemoteFailed(server=attempt.server, check=attempt.check, why=why))
-        if failure.cut:
-            cut = events.RemoteCallCut(attempt.server, attempt.operation, delay_s, attempt.sends_less)
-            self.do(steps.Cut(attempt, cut))
-        self._call_failed(attempt, why)
-        self.deadlines.answered(attempt.server, attempt.operation, math.inf)
-        if failure.unreached:
-            self._reached(attempt, delay_s, None)
-        attempt.call.ended(self, attempt, "failed")
-
-    def _call_failed(self, attempt: Attempt, why: str) -> None:
-        is_late = attempt.call.is_late(attempt)
-        self.tell(events.RemoteCallFailed(attempt.server, attempt.check, why, is_late))
-
-    def _reached(self, attempt: Attempt, delay_s: float, answer_bytes: int | None) -> None:
-        """Tell the selection how fast the server answered at this place, for a server without a range."""
-        if self.estimates.is_measured(attempt.server):
-            self.tell(
-                events.Reached(
-                    attempt.server,
-                    attempt.position,
-                    answer_bytes is not None,
-                    attempt.operation,
-                    delay_s,
-                    (attempt.sent_bytes or attempt.size_bytes) + (answer_bytes or 0),
-                    attempt.sends_less,
-                )
-            )
-
-    def part_failed(self, operation: Operation, why: str) -> None:
-        """Note that the part before sending failed, or is to blame."""
-        self.tell(events.PartFailed(operation.service))
-        again = self.estimates.tries_part(operation.service)
-        self.do(schema.SentWhole(operation=str(operation), why=why, given_up=not again))
-
-    # --- exceptions that servers report ---------------------------------------------------------------------
-
-    def _doubt(self, attempt: Attempt) -> None:
-        """Log the exception; the mission only gets exceptions of the drone's own service, where there is one."""
-        call, operation = attempt.call, attempt.operation
-        why = f"{attempt.server} says that {operation} raised {attempt.raised}"
-        if call.asked.on_servers:  # the drone cannot test it
-            self.do(schema.RemoteFailed(server=attempt.server, check=attempt.check, why=why))
-            return
-        self.do(
-            schema.RemoteRaised(
-                server=attempt.server, check=attempt.check, operation=str(operation), raised=attempt.raised
-            )
-        )
-        if call.two is not None:  # the drone computes another operation, which tests nothing
-            if attempt.sends_less:  # which may be the fault of what was sent
-                self.part_failed(operation, why)
-            else:
-                self._call_failed(attempt, why)
-        elif not call.is_late(attempt):
-            self.tell(events.RemoteCallRaised(attempt.server, why))
-        elif call.own is not None and call.own.state == "answered" and call.winner is None:
-            self.test(attempt, raised=bool(call.own.raised))
-        else:  # another server answered
-            self._call_failed(attempt, why)
-
-    def test(self, attempt: Attempt, *, raised: bool) -> None:
-        """Compare the exception that the server reported, if any, with the drone's own result of the same call."""
-        if not attempt.raised or attempt.verdict:
-            return
-        operation, confirmed = attempt.operation, raised
-        attempt.verdict = "confirmed" if confirmed else "denied"
-        why = f"it says that {operation} raised {attempt.raised}, which did not raise on the drone"
-        if confirmed:
-            self.hedging.answered(attempt.server, operation, attempt.delay_s, less=attempt.sends_less)
-        elif attempt.sends_less:  # which may be the fault of what was sent
-            self.part_failed(operation, f"{attempt.server} says that it raised {attempt.raised} then")
-            return
-        else:
-            self.do(steps.Deny(attempt))
-            self.do(
-                schema.RemoteFailed(
-                    server=attempt.server, check=attempt.check, why=f"{attempt.server}: {why}"
-                )
-            )
-        self.blame(attempt, why, confirmed=confirmed)
-
-    def blame(self, attempt: Attempt, why: str, *, confirmed: bool) -> None:
-        """Tell the selection whether an exception that a server reported is the call's own, or the server's fault."""
-        self.tell(
-            events.RemoteFaultTested(
-                attempt.server,
-                attempt.check,
-                attempt.operation,
-                attempt.delay_s,
-                why,
-                confirmed,
-                attempt.sends_less,
-            )
-        )
 
     # --- on the drone ---------------------------------------------------------------------------------------
 
@@ -565,32 +429,3 @@ class Calls:
     def computed(self, own: Computing, asked: Operation | None = None) -> None:
         """Tell the selection how long the drone took; `asked` for the first of two answers."""
         self.tell(events.LocalCallEnded(own.operation, own.took_s, asked))
-
-    # --- only on servers ------------------------------------------------------------------------------------
-
-    def _begin_waiting(self, call: Call) -> None:
-        operation, within_s = call.asked.operation, call.asked.within_s
-        call.limit_s = math.inf if within_s is None else self.now_s + within_s
-        self.tell(events.CallWaits(operation))
-        most_bytes = self._waiting_bytes[operation.service]
-        its = [each for each in self.waiting if each.asked.operation.service == operation.service]
-        sizes = [each.asked.size_bytes(each.asked.operation) for each in its]
-        over_bytes = sum(sizes) - most_bytes
-        for each, size_bytes in zip(its, sizes, strict=True):
-            if over_bytes <= 0:
-                return
-            why = f"calls that wait for a server keep more than service.waiting_bytes = {most_bytes}"
-            each.limit(self, why)
-            over_bytes -= size_bytes
-
-    def _hurry(self, call: Call) -> None:
-        """The mission waits for the call: without a deadline it waits only while a server in range can answer."""
-        self.wake()
-        if not call.asked.on_servers or call.limit_s < math.inf:
-            return
-        reach_s = self.selection.planning.reach_s(call.asked.operation, self.now_s, self.here)
-        if reach_s is None:
-            call.limit(self, "no server in range can answer, and the mission waits")
-        else:
-            limit_s = max(_LEAST_S, _FACTOR * reach_s * len(self.waiting))
-            call.limit(self, f"no server in range answered within {limit_s:.0f} s", in_s=limit_s)
