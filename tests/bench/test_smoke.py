@@ -41,6 +41,7 @@ QUICK = {  # what each prints, among others
     "rows_choices": r"\| `photos\.order = \"newest\"` \| 2 \| -?[\d.]+ ± [\d.]+ % \| \d \| \d \|",
     "rows_rules": r"beside the model, all \(2\): [-+][\d.]+% in the mean",
     "acts": r"beside acting at once, all \(2\): [+-][\d.]+%",
+    "size": r"core +[\d,]+\n",
     "sharing": r"adjacent fields, 4 servers.*\n.*bound\n +1( +[\d.]+ / [\d.]+ / [\d.]+){4} +[\d.]+\n",
     "simulate": r"- servers, all near\n( +[\d.]+)+\n",
     "stay_or_go": r" 50 % +[\d.]+( +-?[\d.]+ ± [\d.]+ %){2} +[\d.]+ / [\d.]+\n",

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import traceback
 from collections import defaultdict
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
@@ -146,10 +147,9 @@ class Offloading:
         self._alone = defaultdict[str, asyncio.Lock](
             asyncio.Lock
         )  # calls of each service, where deciding has failed
-        self._news = asyncio.Event()  # set and replaced at each event
-        self._looked_at = 0  # the calls, after that many news
+        self._news: asyncio.Event | None = None  # that something waits for
         self._look_due: asyncio.Handle | None = None
-        self._alarm: tuple[float, asyncio.TimerHandle] | None = None
+        self._alarm: asyncio.TimerHandle | None = None
         self._failed = ""  # by what defect
         self._background: asyncio.Task[Any] | None = None
 
@@ -294,31 +294,35 @@ class Offloading:
     # --- the core -------------------------------------------------------------------------------------------
 
     def _handle(self, event: CallEvent | SelectionEvent, at_s: float) -> None:
-        told = self._calls.told
+        told, news = self._calls.told, self._calls.news
         for step in self._calls.handle(event, now_s=at_s, position=self._autopilot.position):
             self._perform(step)
         if self._calls.told > told:  # so that the next look may have moved
             self._looks.set_alarm()
-        if self._calls.news > self._looked_at and self._look_due is None:
-            self._news.set()
-            self._news = asyncio.Event()
-            self._look_due = asyncio.get_running_loop().call_soon(self._look_at_calls)
+        if self._calls.news > news:
+            self._note_news()
         self._set_alarm()
 
-    def _look_at_calls(self, at_s: float = 0.0) -> None:
-        self._look_due, self._looked_at = None, self._calls.news
-        self._ask(lambda: self._handle(steps.News(), max(at_s, now_s())))
+    def _note_news(self) -> None:
+        if self._news is not None:
+            self._news.set()
+            self._news = None
+        if self._calls.are_open and self._look_due is None:
+            self._look_due = asyncio.get_running_loop().call_soon(self._look_at_calls)
+
+    def _look_at_calls(self) -> None:
+        self._look_due = None
+        self._ask(lambda: self._handle(steps.News(), now_s()))
 
     def _set_alarm(self) -> None:
         """Look at the calls when the next of their times is over."""
-        due_s, loop = self._calls.due_s, asyncio.get_running_loop()
-        if self._alarm is not None and self._alarm[0] == due_s:
-            return
+        due_s = self._calls.due_s if self._calls.are_open else math.inf
         if self._alarm is not None:
-            self._alarm[1].cancel()
-        self._alarm = None
-        if due_s < float("inf"):
-            self._alarm = due_s, loop.call_at(due_s, self._ring, due_s)
+            if self._alarm.when() == due_s:
+                return
+            self._alarm.cancel()
+        loop = asyncio.get_running_loop()
+        self._alarm = loop.call_at(due_s, self._ring, due_s) if due_s < math.inf else None
 
     def _ring(self, due_s: float) -> None:
         self._alarm = None
@@ -326,6 +330,7 @@ class Offloading:
 
     async def _happened(self) -> None:
         """Return after the next event of the core."""
+        self._news = self._news or asyncio.Event()
         await self._news.wait()
 
     def _perform(self, step: Instruction) -> None:

@@ -96,15 +96,16 @@ class Calls:
     ) -> list[Instruction]:
         """Take in what has happened at the position; return what the program has to do, in that order."""
         self.now_s, self.here = now_s, position
-        self.selection.locate(position, now_s)
-        self._take_in(event)
+        if isinstance(event, SelectionEvent):
+            self.tell(event)
+        else:
+            self.selection.locate(position, now_s)
+            self._take_in(event)
         out, self._out = self._out, []
         return out
 
-    def _take_in(self, event: CallEvent | SelectionEvent) -> None:
+    def _take_in(self, event: CallEvent) -> None:
         match event:
-            case SelectionEvent():
-                self.tell(event)
             case steps.News():
                 self._look()
             case steps.Computed(computing):
@@ -141,6 +142,11 @@ class Calls:
         if self._unused_since_s is not None:
             times_s.append(self._unused_since_s + LONGEST_UNUSED_S)
         return min((due_s for due_s in times_s if due_s > self.now_s), default=math.inf)
+
+    @property
+    def are_open(self) -> bool:
+        """Whether any call is open."""
+        return bool(self._open)
 
     @property
     def waiting(self) -> list[OnServers]:
