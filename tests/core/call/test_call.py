@@ -446,6 +446,14 @@ def test_what_a_part_has_left_is_sent_only_where_an_answer_can_still_come(part: 
     assert (source(end), field.ran) == ("drone", [f"drone from {part[0]:g}"])
 
 
+def test_a_part_that_ends_after_the_call_has_nothing_sent() -> None:
+    field = Field(drone_s=1.0, reduced=(1.5, 60, ""))
+    _, took_s, end = field.answer(replace(RACED, inputs=LESS.inputs))
+    field.runs()
+    assert (source(end), took_s, field.ran) == ("drone", 1.0, ["drone from 0"])
+    assert field.lanes.are_free and not field.calls.is_busy
+
+
 def test_an_exception_to_a_smaller_request_may_be_the_parts_fault() -> None:
     field = Field(replies=at("s1", FAULT))
     field.answer(LESS)
@@ -518,6 +526,24 @@ def test_an_exception_of_the_slower_server_blames_it() -> None:
     assert field.heard[-1] == events.RemoteCallFailed(
         "s1", CHECK, f"s1 says that gripper.look raised {SAID}", late=True
     )
+
+
+def test_where_the_drone_fails_to_test_an_exception_the_other_server_may_still_answer() -> None:
+    told: dict[str, Any] = {"drone_s": 0.1, "drone_fails": True}
+    for first, second in ((FAULT, value(3.0)), (value(3.0), value(0.2, raised=SAID))):
+        field, _, end = by_a_deadline(replace(first, after_s=1.7 if first is FAULT else 3.0), second, **told)
+        assert isinstance(end.source, Attempt) and end.source.state == "answered"
+        assert of(field.told, events.RemoteCallEnded)[0].late is False
+    field, took_s, end = by_a_deadline(value(1.7, raised=SAID), silent(1.0), **told)
+    assert (source(end), took_s) == ("drone", 2.5)
+    field, took_s, end = by_a_deadline(value(2.0, raised=SAID), value(1.0), hedge=Hedge(1.6, 9.0), **told)
+    assert source(end) == "s2", "nor does an exception end the call that the drone could not test"
+
+
+def test_a_lighter_call_on_the_drone_that_a_server_overtakes_has_no_deadline() -> None:
+    lighter = Lightened(LIGHT, OPERATION, 900.0, 800.0)
+    field, _, end = by_a_deadline(silent(1.0), silent(0.5), lighter=lighter, overtakes_s=[4.0])
+    assert source(end) == "drone" and field.ran[-1] == "s1 from 4"
 
 
 def test_the_drone_joins_in_time_for_a_deadline_that_it_can_keep() -> None:
@@ -721,6 +747,25 @@ def test_a_call_that_is_not_sent_waits_for_news() -> None:
     field.happens(events.Tick())
     field.runs(110.0)
     assert field.ends[call][0] == 106.0
+
+
+def test_calls_that_are_not_sent_are_no_news_for_each_other() -> None:
+    field = on_servers(decisions=[LOCAL])
+    for _ in range(2):
+        field.make(ON_SERVERS)
+    assert len(of(field.told, schema.Decided)) == 3, "the first once more, as another was made"
+    field.happens(events.Tick())
+    assert len(of(field.told, schema.Decided)) == 5
+
+
+def test_a_call_is_looked_at_though_something_else_happens_first_at_that_time() -> None:
+    field = on_servers(lane=None)
+    call = field.make(ON_SERVERS)
+    field.now_s = 130.0
+    field.happens(steps.EndWaiting("the flight is over"))
+    assert field.calls.due_s == 130.0
+    field.runs(130.0)
+    assert call in field.ends and field.calls.due_s == math.inf
 
 
 def test_the_mission_may_drop_a_call_and_at_rest_it_waits_only_for_a_server_in_range() -> None:

@@ -37,7 +37,7 @@ class OnServers(Manner):
         self._limit_s = math.inf if within_s is None else self.calls.now_s + within_s
         self._why = f"no server answered within {within_s:g} s" if within_s is not None else ""
         self._again_s = math.inf  # when it goes into the line again,
-        self._again_after: int | None = None  # or after that many news
+        self._again_after: int | None = None  # or when more has happened than that
         self._has_raised = False
         self.calls.tell(CallWaits(call.asked.operation))
 
@@ -53,7 +53,7 @@ class OnServers(Manner):
             self._try(decision)
         else:
             self.calls.leave(self.call)
-            self._again_after = self.calls.news
+            self._again_after = self.calls.happened
 
     def look(self) -> None:
         """End the call, or put it into the line again."""
@@ -108,7 +108,7 @@ class OnServers(Manner):
 
     @property
     def _has_news(self) -> bool:
-        return self._again_after is not None and self.calls.news > self._again_after
+        return self._again_after is not None and self.calls.happened > self._again_after
 
     def _try(self, remote: Remote) -> None:
         self.call.tries, self.call.winner = [], None

@@ -55,7 +55,8 @@ class Outcomes:
         if not attempt.sends_less:
             attempt.counts_from_s = calls.now_s
             expected_s = calls.estimates.remote_s(attempt.server, attempt.operation) or 0.0
-        if expected_s <= left_s and calls.placement.may_send(attempt.server, attempt.check):
+        may_send = not attempt.call.is_over and calls.placement.may_send(attempt.server, attempt.check)
+        if may_send and expected_s <= left_s:
             calls.send(attempt, left_s)
         else:
             attempt.call.tried(attempt, "failed")

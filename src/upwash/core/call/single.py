@@ -85,7 +85,7 @@ class Single(Manner):
                 return
         if call.own is not None:
             if call.own.state == "failed":
-                call.end(call.own)
+                self._go_on_without(call.own)
         elif attempt.state == "queued" and calls.lanes.has_line and self._second_after_s == math.inf:
             self.queued_s = calls.now_s
             calls.leave(call)
@@ -102,25 +102,29 @@ class Single(Manner):
     def computed(self, own: Computing) -> None:
         """End the call with the drone's answer; with its failure only where no server may still answer."""
         if own.state == "failed":
-            if not self.call.open_tries:
-                self.call.end(own)
+            self._go_on_without(own)
             return
         if self.call.winner is not None:
             self.calls.outcomes.test(self.call.winner, raised=own.raised)
         self.calls.computed(own)
         self.call.end(own)
 
+    def _go_on_without(self, own: Computing) -> None:
+        """End the call with the drone's failure, unless another server may still answer it."""
+        self.call.winner = None  # the drone cannot test an exception that a server has reported
+        if not self.call.open_tries:
+            self.call.end(own)
+
     # --- attempts -------------------------------------------------------------------------------------------
 
     def _try(self, remote: Remote) -> None:
-        call, own = self.call, self.call.own
-        call.tries, call.winner, self._is_seconded, self._second_s = [], None, False, None
-        self._second_after_s = self.calls.second_after_s(call.operation, remote.server)
-        self._attempt(remote, own)
+        self.call.tries, self.call.winner, self._is_seconded, self._second_s = [], None, False, None
+        first = self._attempt(remote)
+        self._second_after_s = self.calls.second_after_s(first.operation, first.server)
 
-    def _attempt(self, remote: Remote, overtakes: Computing | None) -> None:
-        what = overtakes or self.call
-        self.call.attempt(remote, what.operation, what.lightened)
+    def _attempt(self, remote: Remote) -> Attempt:
+        what = self.call.own or self.call  # which it overtakes
+        return self.call.attempt(remote, what.operation, what.lightened)
 
     @property
     def _second_at_s(self) -> float:
@@ -150,7 +154,7 @@ class Single(Manner):
                 deadline_s=left_s,
             )
         )
-        self._attempt(Remote(server, left_s, f"{first.server} is late"), self.call.own)
+        self._attempt(Remote(server, left_s, f"{first.server} is late"))
 
     def _be_overtaken(self, own: Computing) -> None:
         """Attempt the call at a server that would answer before the drone, which computes it."""
