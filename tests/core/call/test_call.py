@@ -723,6 +723,25 @@ def test_a_call_that_is_not_sent_waits_for_news() -> None:
     assert field.ends[call][0] == 106.0
 
 
+def test_calls_that_are_not_sent_are_no_news_for_each_other() -> None:
+    field = on_servers(decisions=[LOCAL])
+    for _ in range(2):
+        field.make(ON_SERVERS)
+    assert len(of(field.told, schema.Decided)) == 3, "the first once more, as another was made"
+    field.happens(events.Tick())
+    assert len(of(field.told, schema.Decided)) == 5
+
+
+def test_a_call_is_looked_at_though_something_else_happens_first_at_that_time() -> None:
+    field = on_servers(lane=None)
+    call = field.make(ON_SERVERS)
+    field.now_s = 130.0
+    field.happens(steps.EndWaiting("the flight is over"))
+    assert field.calls.due_s == 130.0
+    field.runs(130.0)
+    assert call in field.ends and field.calls.due_s == math.inf
+
+
 def test_the_mission_may_drop_a_call_and_at_rest_it_waits_only_for_a_server_in_range() -> None:
     field = on_servers(value(99.0))
     patient = replace_asked(on_servers=True)

@@ -73,7 +73,7 @@ class Call:
     limit_s: float = math.inf
     limit_why: str = ""
     again_s: float = math.inf  # when it goes into the line again,
-    again_after: int | None = None  # or after that many news
+    again_after: int | None = None  # or when more has happened than that
     has_raised: bool = False
 
     def __post_init__(self) -> None:
@@ -104,7 +104,7 @@ class Call:
         elif self.check:
             if now_s >= self.check_until_s or not calls.selection.is_awaited(self.check):
                 self._decide_after_wait(calls)
-        elif now_s >= self.again_s or (self.again_after is not None and calls.news > self.again_after):
+        elif now_s >= self.again_s or (self.again_after is not None and calls.happened > self.again_after):
             self._enter_again(calls)
         elif self.two is not None:
             self._seek_better(calls)
@@ -143,7 +143,7 @@ class Call:
         self.two = calls.selection.two_answers.get(self.operation)
         if self.asked.on_servers and not isinstance(decision, Remote):
             calls.leave(self)
-            self.again_after = calls.news  # what the policy thinks of this server may change then
+            self.again_after = calls.happened  # what the policy thinks of this server may change then
         elif isinstance(decision, Wait) and self.two is None:
             self.check = calls.selection.servers[decision.server].check
             self.check_until_s = calls.now_s + decision.at_most_s

@@ -77,8 +77,10 @@ class Calls:
         self.lanes.newest_first, self.lanes.has_line = first == "newest", first is not None
         self.now_s, self.here = 0.0, Position(0.0, 0.0)
         self.news = 0  # how often something has changed that calls may wait for
+        self.happened = 0  # how many events were taken in, and calls have ended
         self.told = 0  # how often the selection has learnt or decided something
         self._waiting_bytes = waiting_bytes
+        self._looked_s = -math.inf
         self._out: list[Instruction] = []
         self._open: list[Call] = []
         self._losers: set[Attempt | Computing] = set()  # that go on after their calls were answered
@@ -94,6 +96,7 @@ class Calls:
         """Take in what has happened at the position; return what the program has to do, in that order."""
         self.now_s, self.here = now_s, position
         self.selection.locate(position, now_s)
+        self.happened += not isinstance(event, steps.News)
         self._take_in(event)
         out, self._out = self._out, []
         return out
@@ -140,11 +143,11 @@ class Calls:
 
     @property
     def due_s(self) -> float:
-        """When `News` must be handled, unless something happens before."""
+        """When `News` must be handled, unless something happens before; over, if an event came first at that time."""
         times_s = [due_s for call in self._open for due_s in call.due_s]
         if self._unused_since_s is not None:
             times_s.append(self._unused_since_s + LONGEST_UNUSED_S)
-        return min((due_s for due_s in times_s if due_s > self.now_s), default=math.inf)
+        return min((due_s for due_s in times_s if due_s > self._looked_s), default=math.inf)
 
     @property
     def waiting(self) -> list[Call]:
@@ -258,6 +261,7 @@ class Calls:
     def over(self, call: Call) -> None:
         """Note that the call is over."""
         self._open.remove(call)
+        self.happened += 1
         self._wanted.pop(call, None)
         self._losers |= {each for each in (*call.tries, call.own) if each is not None and each.is_open}
         self.leave(call)
@@ -265,6 +269,7 @@ class Calls:
             self.tell(events.CallOver(call.asked.operation))
 
     def _look(self) -> None:
+        self._looked_s = self.now_s
         for call in list(self._open):
             if not call.is_over:
                 call.look(self)
