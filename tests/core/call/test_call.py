@@ -446,6 +446,14 @@ def test_what_a_part_has_left_is_sent_only_where_an_answer_can_still_come(part: 
     assert (source(end), field.ran) == ("drone", [f"drone from {part[0]:g}"])
 
 
+def test_a_part_that_ends_after_the_call_has_nothing_sent() -> None:
+    field = Field(drone_s=1.0, reduced=(1.5, 60, ""))
+    _, took_s, end = field.answer(replace(RACED, inputs=LESS.inputs))
+    field.runs()
+    assert (source(end), took_s, field.ran) == ("drone", 1.0, ["drone from 0"])
+    assert field.lanes.are_free and not field.calls.is_busy
+
+
 def test_an_exception_to_a_smaller_request_may_be_the_parts_fault() -> None:
     field = Field(replies=at("s1", FAULT))
     field.answer(LESS)

@@ -242,7 +242,8 @@ class Call:
         if not attempt.sends_less:
             attempt.counts_from_s = calls.now_s
             expected_s = calls.estimates.remote_s(attempt.server, attempt.operation) or 0.0
-        if expected_s <= left_s and calls.placement.may_send(attempt.server, attempt.check):
+        may_send = not self.is_over and calls.placement.may_send(attempt.server, attempt.check)
+        if may_send and expected_s <= left_s:
             calls.send(attempt, left_s)
         else:
             self.ended(calls, attempt, "failed")
