@@ -528,6 +528,24 @@ def test_an_exception_of_the_slower_server_blames_it() -> None:
     )
 
 
+def test_where_the_drone_fails_to_test_an_exception_the_other_server_may_still_answer() -> None:
+    told: dict[str, Any] = {"drone_s": 0.1, "drone_fails": True}
+    for first, second in ((FAULT, value(3.0)), (value(3.0), value(0.2, raised=SAID))):
+        field, _, end = by_a_deadline(replace(first, after_s=1.7 if first is FAULT else 3.0), second, **told)
+        assert isinstance(end.source, Attempt) and end.source.state == "answered"
+        assert of(field.told, events.RemoteCallEnded)[0].late is False
+    field, took_s, end = by_a_deadline(value(1.7, raised=SAID), silent(1.0), **told)
+    assert (source(end), took_s) == ("drone", 2.5)
+    field, took_s, end = by_a_deadline(value(2.0, raised=SAID), value(1.0), hedge=Hedge(1.6, 9.0), **told)
+    assert source(end) == "s2", "nor does an exception end the call that the drone could not test"
+
+
+def test_a_lighter_call_on_the_drone_that_a_server_overtakes_has_no_deadline() -> None:
+    lighter = Lightened(LIGHT, OPERATION, 900.0, 800.0)
+    field, _, end = by_a_deadline(silent(1.0), silent(0.5), lighter=lighter, overtakes_s=[4.0])
+    assert source(end) == "drone" and field.ran[-1] == "s1 from 4"
+
+
 def test_the_drone_joins_in_time_for_a_deadline_that_it_can_keep() -> None:
     field, took_s, end = by_a_deadline(value(9.0), value(9.0), hedge=Hedge(0.5, 20.0), drone_s=0.7)
     assert (source(end), took_s) == ("drone", 1.2)

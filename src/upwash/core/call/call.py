@@ -202,9 +202,9 @@ class Call:
     def _try(self, calls: Calls, remote: Remote) -> None:
         """Attempt the call at a server, and plan when a second one gets it too."""
         self.tries, self.winner, self.is_seconded, self.second_s = [], None, False, None
-        if self.two is None and not self.asked.on_servers:
-            self.second_after_s = calls.second_after_s(self.operation, remote.server)
         self._begin(calls, remote)
+        if self.two is None and not self.asked.on_servers:
+            self.second_after_s = calls.second_after_s(self.tries[0].operation, remote.server)
 
     def _begin(self, calls: Calls, remote: Remote) -> None:
         operation, lightened = self.operation, self.lightened
@@ -276,7 +276,7 @@ class Call:
             else:
                 self._fall_back(calls)
         elif self.own.state == "failed":
-            self._end(calls, self.own)
+            self._go_on_without_own(calls, self.own)
 
     @property
     def _second_at_s(self) -> float:
@@ -371,7 +371,13 @@ class Call:
             if not self.asked.once:
                 calls.computed(own)
             self._end(calls, own)
-        elif not self.open_tries:
+        else:
+            self._go_on_without_own(calls, own)
+
+    def _go_on_without_own(self, calls: Calls, own: Computing) -> None:
+        """End the call with the drone's failure, unless another server may still answer it."""
+        self.winner = None  # the drone cannot test an exception that a server has reported
+        if not self.open_tries:
             self._end(calls, own)
 
     # --- with two answers -----------------------------------------------------------------------------------
