@@ -82,15 +82,23 @@ class Field:
     is_left: bool = False  # the server, while a part made the request smaller
     is_there: bool = False  # a range of the server is not known
     expected_s: float | None = 10.0  # of the drone
+    remote_known_s: float | None = 0.5  # of each server
     reaches_s: float | None = None
     lane: str | None = "either"  # which one the policy gives the first in line
     deadlines: Deadlines = field(default_factory=Deadlines)
     first: Any = None
+    has_current: bool = True  # server in use
     on_servers: bool = False
     waiting_bytes: int = 1000
     told: list[Any] = field(default_factory=list)  # to the core or the log
     known_s: list[float] = field(default_factory=list)  # delays of servers for later hedges
     hedges_s: list[float] = field(default_factory=list)  # of the drone in calls that servers answered
+    begun: list[Operation] = field(default_factory=list)  # calls, as hedging knows them
+    located_s: list[float] = field(default_factory=list)
+    asked: list[tuple[bool, bool]] = field(
+        default_factory=list
+    )  # decisions: on the drone, while that is busy
+    seconds: list[bool] = field(default_factory=list)  # whether a second server begins that was asked for
     busy: list[bool] = field(default_factory=list)
     began_s: list[float] = field(default_factory=list)  # the drone, as the decision to overtake it is told
     ran: list[str] = field(default_factory=list)
@@ -107,7 +115,7 @@ class Field:
         self.two_answers = {} if self.two is None else {OPERATION: self.two}
         self.name = "mine"
         self.servers = {name: SimpleNamespace(name=name, check=CHECK) for name in ("s1", "s2", "s3")}
-        self.current = self.servers["s1"]
+        self.current: Any = self.servers["s1"] if self.has_current else None
         self.counter = itertools.count()
         self.coming: list[tuple[float, int, Any]] = []
         self.stopped: set[Any] = set()
@@ -203,7 +211,10 @@ class Field:
         assert (now_s, position) == (self.now_s, HERE)
         return [event]
 
-    def decide(self, operation: Operation, **_: Any) -> tuple[Any, list[Any]]:
+    def decide(
+        self, operation: Operation, *, on_drone: bool, drone_is_busy: bool, **_: Any
+    ) -> tuple[Any, list[Any]]:
+        self.asked.append((on_drone, drone_is_busy))
         decision = self.decisions.pop(0) if len(self.decisions) > 1 else self.decisions[0]
         return decision, self.effects
 
@@ -216,6 +227,7 @@ class Field:
 
     def locate(self, position: Position, now_s: float) -> None:
         assert (now_s, position) == (self.now_s, HERE)
+        self.located_s.append(now_s)
 
     def overtake(self, operation: Operation, *, began_s: float, **_: Any) -> tuple[Remote | None, float]:
         self.began_s.append(began_s - 100)
@@ -231,6 +243,7 @@ class Field:
         return found if is_next else (None, True)
 
     def second(self, operation: Operation, beside: str, now_s: float, *, begins: bool) -> Any:
+        self.seconds.append(begins)
         return None if self.second_server is None else self.servers[self.second_server]
 
     def fall_back(self, operation: Operation, **_: Any) -> Lightened | None:
@@ -263,14 +276,15 @@ class Field:
         return self.expected_s
 
     def remote_s(self, server: str, operation: Operation) -> float | None:
-        return 0.5
+        return self.remote_known_s
 
     def tries_part(self, service: str) -> bool:
         return True
 
     # --- of hedging -----------------------------------------------------------------------------------------
 
-    def called(self, operation: Operation) -> None: ...
+    def called(self, operation: Operation) -> None:
+        self.begun.append(operation)
 
     def plan(self, decision: Remote, operation: Operation, *, is_busy: bool, **_: Any) -> Hedge | None:
         self.busy.append(is_busy)
