@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ import pytest
 from tests.events import written
 
 from upwash.config import drone_config
+from upwash.core.call import steps
+from upwash.core.call.calls import Calls
 from upwash.core.selection.events import LocalCallEnded, RemoteCallEnded
 from upwash.core.selection.selection import Selection
 from upwash.drone.server_session import ServerSession
@@ -165,6 +168,28 @@ def test_what_runs_once_runs_on_the_drone_and_once(tmp_path: Path) -> None:
     assert {call["decision"] for call in releases} == {"it runs once, and on the drone"}
     assert {call["waited_s"] for call in releases} == {0.0}
     assert "s1" in [call["place"] for call in events(run, "call")]
+
+
+@pytest.mark.parametrize("failing", ["during the first release", "before it"])
+def test_a_defect_of_offloading_has_nothing_run_a_second_time(tmp_path: Path, failing: str) -> None:
+    handle, begun = Calls.handle, itertools.count()
+
+    def fails(self: Calls, event: Any, **when: Any) -> Any:
+        steps_ = handle(self, event, **when)
+        is_begun = any(isinstance(each, steps.Compute) and each.computing.call.asked.once for each in steps_)
+        if is_begun and next(begun) == 0:
+            loop = asyncio.get_running_loop()
+            loop.call_later(LOCAL_S / 2, self.__dict__.__setitem__, "_broken", True)
+        if "_broken" in self.__dict__ or (failing == "before it" and is_begun):
+            raise KeyError("a defect")
+        return steps_
+
+    with patch.object(Calls, "handle", fails):
+        run = fly(tmp_path, "releasing", name="opportunistic")
+    assert len(events(run, "offloading_failed")) == 1
+    assert [message[1] for message in heard(run)] == [1, 2, 3, 4, 5]
+    releases = [call for call in events(run, "call") if call["operation"] == "gripper.release"]
+    assert len(releases) == 5 and {call["onboard_s"] for call in releases} == {LOCAL_S}
 
 
 def test_what_runs_once_waits_for_a_service_that_is_busy_with_a_dropped_call(tmp_path: Path) -> None:

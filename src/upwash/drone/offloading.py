@@ -12,7 +12,7 @@ import contextlib
 import math
 import traceback
 from collections import defaultdict
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Literal, NoReturn, TypeAlias, TypeVar
@@ -74,9 +74,9 @@ class _Open:
     request: bytes
     hearing: Hearing
     answer: asyncio.Future[Any]
-    replies: dict[Work, Any] = field(
-        default_factory=dict
-    )  # decoded; or the failure of the drone's own service
+    made_s: float
+    # Decoded; or the failure of the drone's own service.
+    replies: dict[Work, Any] = field(default_factory=dict)
     tasks: dict[Work, asyncio.Task[None]] = field(default_factory=dict)
     visits: dict[Attempt, tuple[RadioWorker, ServerSession]] = field(default_factory=dict)
     smaller: dict[Attempt, bytes] = field(default_factory=dict)  # requests
@@ -166,6 +166,7 @@ class Offloading:
                 except Exception as error:  # noqa: BLE001 - the mission was flown all the same
                     self._fail(error)
             await end(background)
+            await self._end_work()
             if isinstance(policy := self._selection.policy, OwnPolicy):
                 policy.end()
 
@@ -227,8 +228,8 @@ class Offloading:
         Nothing is decided of a method that runs once, so that no defect has it run again. Raises InstanceError only
         when the drone's own service fails too. A call that only servers compute may end without an answer.
         """
-        made_s, patience = now_s(), method.patience
-        opened = _Open(method, request, hearing, asyncio.get_running_loop().create_future())
+        patience = method.patience
+        opened = _Open(method, request, hearing, asyncio.get_running_loop().create_future(), now_s())
         asked = Asked(
             operation,
             lambda other: len(opened.request_as(other, operation)),
@@ -248,13 +249,13 @@ class Offloading:
                 with contextlib.suppress(_Defect):
                     return await opened.answer
             if patience is None:
-                return await self._invoke_alone(asked, opened, made_s)
+                return await self._invoke_alone(asked, opened)
             self._journal.record(
                 schema.Unanswered(
                     waypoint=waypoint,
                     operation=str(operation),
-                    at_s=made_s,
-                    waited_s=now_s() - made_s,
+                    at_s=opened.made_s,
+                    waited_s=now_s() - opened.made_s,
                     within_s=asked.within_s,
                     why=self._failed,
                 )
@@ -276,14 +277,11 @@ class Offloading:
         self.tell(steps.Enough(call))
 
     async def _run(self) -> NoReturn:
-        try:
-            async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(self._looks.look())
-                tasks.create_task(self._looks.watch_borders())
-                for worker in self._radios.workers:
-                    tasks.create_task(worker.run())
-        finally:
-            await self._end_work()
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._looks.look())
+            tasks.create_task(self._looks.watch_borders())
+            for worker in self._radios.workers:
+                tasks.create_task(worker.run())
         raise AssertionError("these tasks never end by themselves")
 
     async def _leave(self) -> None:
@@ -358,12 +356,8 @@ class Offloading:
 
     def _answer(self, call: Call, reply: Any) -> None:
         answer = self._open[call].answer
-        if answer.done():  # the mission has ended in the call
-            return
-        if isinstance(reply, Exception):
-            answer.set_exception(reply)
-        else:
-            answer.set_result(reply)
+        if not answer.done():  # else the mission has ended in the call
+            _settle(answer, reply)
 
     # --- what it does ---------------------------------------------------------------------------------------
 
@@ -394,8 +388,10 @@ class Offloading:
                 event = await doing()
             except Exception as error:  # noqa: BLE001 - whatever it is, the drone flies on
                 self._fail(error)
-            else:
-                self.tell(event)
+                return
+            self.tell(event)
+            if self._failed and isinstance(work, Computing):
+                self._end_alone(work, opened)
 
         def ended(task: asyncio.Task[None]) -> None:
             if opened.tasks.get(work) is task:
@@ -475,14 +471,29 @@ class Offloading:
 
     # --- without the core -----------------------------------------------------------------------------------
 
-    async def _invoke_alone(self, asked: Asked, opened: _Open, made_s: float) -> Any:
+    async def _invoke_alone(self, asked: Asked, opened: _Open) -> Any:
         """Run a call on the drone and decide nothing, where deciding has failed."""
         operation = asked.operation
+        if under_way := [task for task, service in self._computations() if service == operation.service]:
+            await asyncio.wait(under_way)
         async with self._alone[operation.service]:
-            began_s = now_s()
-            expected_s = self._selection.estimates.local_s(operation) or 0.0
+            began_s, expected_s = now_s(), self._selection.estimates.local_s(operation) or 0.0
             timeout_s = max(_LOCAL_LEAST_S, _LOCAL_FACTOR * expected_s)
             reply = await self._onboard_reply(opened.method, operation, opened.request, timeout_s)
+        self._log_alone(asked, operation, opened.made_s, began_s)
+        return reply
+
+    def _end_alone(self, computing: Computing, opened: _Open) -> None:
+        """End a call that the drone was computing when deciding failed."""
+        if opened.answer.done():
+            return
+        reply = opened.replies[computing]
+        if not isinstance(reply, Exception):
+            began_s = computing.began_s or opened.made_s
+            self._log_alone(computing.call.asked, computing.operation, opened.made_s, began_s)
+        _settle(opened.answer, reply)
+
+    def _log_alone(self, asked: Asked, operation: Operation, made_s: float, began_s: float) -> None:
         self._journal.record(
             schema.Call(
                 waypoint=asked.waypoint,
@@ -498,7 +509,13 @@ class Offloading:
                 queued_s=began_s - made_s or None,
             )
         )
-        return reply
+
+    def _computations(self) -> Iterator[tuple[asyncio.Task[None], str]]:
+        """The drone's own computations that are under way, each with its service."""
+        for opened in self._open.values():
+            for work, task in opened.tasks.items():
+                if isinstance(work, Computing):
+                    yield task, work.operation.service
 
     def _ask(self, do: Callable[[], T]) -> T | None:
         """What the core says; None once deciding has failed."""
@@ -522,12 +539,22 @@ class Offloading:
         trace = "".join(traceback.format_exception(error))
         self._journal.record(schema.OffloadingFailed(why=why, trace=trace))
         for opened in self._open.values():
-            for task in opened.tasks.values():
-                task.cancel()
-            if not opened.answer.done():
+            computed = [work for work in opened.tasks if isinstance(work, Computing)]
+            for work in opened.tasks.keys() - set(computed):
+                opened.tasks[work].cancel()
+            if (
+                not computed and not opened.answer.done()
+            ):  # else the drone's answer counts: it must not run twice
                 opened.answer.set_exception(_Defect())
 
 
 def now_s() -> float:
     """The time of the running event loop, in seconds."""
     return asyncio.get_running_loop().time()
+
+
+def _settle(answer: asyncio.Future[Any], reply: Any) -> None:
+    if isinstance(reply, Exception):
+        answer.set_exception(reply)
+    else:
+        answer.set_result(reply)
