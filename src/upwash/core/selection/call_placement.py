@@ -88,20 +88,26 @@ class CallPlacement(Part):
             call.operation in self._two_answers,
         )
 
-    def _both_s(self, operation: Operation) -> tuple[float, float]:
+    @property
+    def _ready(self) -> Server | None:
+        """The server in use, if it is READY and in range."""
         server = self._radios.in_use
+        is_ready = server is not None and server.in_range and server.state is State.READY
+        return server if is_ready else None
+
+    def _both_s(self, operation: Operation) -> tuple[float, float]:
+        """The seconds of a call in line on the drone, and at the server; infinite where it does not run."""
+        server = self._ready
         remote_s = self._estimates.remote_s(server.name, operation) if server is not None else None
         if self._estimates.needs_server(operation):
-            is_there = remote_s is not None and isinstance(self._at_server(operation), Remote)
+            is_there = isinstance(self._at_server(operation), Remote)
             return math.inf, remote_s if is_there and remote_s is not None else math.inf
         local_s = self._estimates.local_s(operation)
         if local_s is None:
             return 0.0, math.inf
         two = self._two_answers.get(operation)
         computed_s = local_s if two is None else self._first_s(two, local_s)
-        if server is None or remote_s is None or not server.in_range or server.state is not State.READY:
-            return computed_s, math.inf
-        if self._recovery.in_doubt(server.name, operation):
+        if server is None or remote_s is None or self._recovery.in_doubt(server.name, operation):
             return computed_s, math.inf
         if two is not None and remote_s > two.within_s:
             return computed_s, math.inf
@@ -218,30 +224,28 @@ class CallPlacement(Part):
             state=server.state,
             local_s=local_s,
             remote_s=remote_s,
-            check_expected_s=self._check_s(server) or 0.0,
+            check_expected_s=self._check_s(server),
             check_elapsed_s=self._now_s - server.checked_since_s,
             is_first=self._estimates.is_first_call(server.name, operation),
         )
 
-    def _expected_s(self, server: Server, operation: Operation) -> float | None:
-        """The seconds of a call sent now, behind what its server still computes; None without an estimate."""
-        remote_s = self._estimates.remote_s(server.name, operation)
-        return None if remote_s is None else self._lanes.rest_s(server.name, self._now_s) + remote_s
-
-    def _check_s(self, server: Server) -> float | None:
+    def _check_s(self, server: Server) -> float:
         return self._estimates.check_s(server.name, running=server.state is State.CHECK_R)
 
     def _inputs(self, operation: Operation) -> Inputs:
         server, local_s = self._radios.in_use, self._estimates.local_s(operation)
         if server is None:
             return Inputs(local_s)
+        remote_s = self._estimates.remote_s(server.name, operation)
+        if remote_s is not None:  # behind what the server still computes
+            remote_s += self._lanes.rest_s(server.name, self._now_s)
         whole_s, less_s = self._estimates.both_ways_s(server.name, operation) or (None, None)
         return Inputs(
             local_s,
             server.name,
             server.state,
             server.check,
-            remote_s=self._expected_s(server, operation),
+            remote_s=remote_s,
             check_s=self._check_s(server),
             check_elapsed_s=self._now_s - server.checked_since_s,
             whole_s=whole_s,
@@ -264,10 +268,8 @@ class CallPlacement(Part):
 
         The second value is the time to ask again if no event comes before.
         """
-        server, now_s = self._radios.in_use, self._now_s
-        if server is None or not server.in_range or server.state is not State.READY:
-            return None, math.inf
-        if self._recovery.probing is None:
+        server, now_s = self._ready, self._now_s
+        if self._recovery.probing is None or server is None:
             return None, math.inf
         if not self._lanes.is_free(server.name) or self._is_awaited():
             return None, math.inf
@@ -291,14 +293,14 @@ class CallPlacement(Part):
         The second value tells whether the server may become of use in time, as where the call `is_next` there.
         """
         server, now_s = self._radios.in_use, self._now_s
-        if server is None or not server.in_range or server.state not in (State.READY, *CHECKING):
+        if server is None or not server.in_range:
             return None, False
         remote_s = self._estimates.remote_s(server.name, operation)
         if remote_s is None or server.is_full(now_s):
             return None, False
         begins_s = now_s
         if server.state is not State.READY:
-            begins_s += max(0.0, (self._check_s(server) or 0.0) - (now_s - server.checked_since_s))
+            begins_s += max(0.0, self._check_s(server) - (now_s - server.checked_since_s))
         else:
             begins_s = max(now_s, self._recovery.trial_due_s(server.name, operation))
         begins_s += self._lanes.queue_s(server.name, now_s)
