@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 
 import pytest
 
 from upwash.core.geo import Circle, Position, Waypoint
 from upwash.core.knowledge.estimates import Beliefs, Estimates
-from upwash.core.knowledge.servers import Server, State, Trigger
+from upwash.core.knowledge.servers import Server, ServerTable, State, Trigger
 from upwash.core.operation import Operation
 from upwash.core.planning.legs import Leg, Pace
 from upwash.core.planning.mission_model import MissionBeliefs, StopCall
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.look_ahead import LookAhead
 from upwash.core.policies.policy import Coming, Local, LocationAware, Policy, Remote, Wait
-from upwash.core.selection.commands import Prepare
+from upwash.core.selection.commands import Effect, Prepare
 from upwash.core.selection.events import (
     CheckAnswered,
     LegBegun,
@@ -30,8 +31,12 @@ from upwash.core.selection.events import (
     TargetUnknown,
     Tick,
 )
+from upwash.core.selection.moment import Moment
+from upwash.core.selection.radios import Radios
+from upwash.core.selection.recovery import Recovery
 from upwash.core.selection.selection import Selection
 from upwash.core.selection.server_planning import PrewarmNotifier
+from upwash.core.selection.settings import SelectionSettings
 from upwash.core.vehicle.way_home import EnergyFacts, WayHome
 from upwash.eventlog.schema import Foreseen, Selected
 
@@ -46,21 +51,33 @@ def server(*peers: str, ready: bool = True) -> Server:
     return found
 
 
+def announcing() -> PrewarmNotifier:
+    """A drone in range of nothing, which knows three servers."""
+    table = ServerTable({name: Circle(Position(0.0, 0.0), 50.0) for name in "abc"}, idle_s=180.0)
+    estimates = Estimates(local_s={}, servers=dict.fromkeys("abc", Beliefs(START_S, 0.0, {})))
+    moment = Moment(LocationAware(), SelectionSettings(), table, estimates, Recovery(None))
+    return PrewarmNotifier(moment, Radios(moment))
+
+
 def announce(
     notifier: PrewarmNotifier, current: Server | None, coming: Coming | None, now_s: float = 0.0
-) -> list[Prepare]:
-    return notifier.announce(current, coming, start_s=START_S, now_s=now_s)
+) -> Sequence[Effect]:
+    moment = notifier._moment
+    notifier._radios.selected = [] if current is None else [current]
+    moment.now_s, moment.effects = now_s, []
+    notifier.announce(coming)
+    return moment.effects
 
 
 def test_the_coming_server_is_prepared_by_the_one_that_is_ready() -> None:
-    notifier = PrewarmNotifier()
+    notifier = announcing()
     assert announce(notifier, server("b"), Coming("b", 12.0)) == [Prepare("a", 1, "b", 12.0, 15.0)]
     assert notifier.has_announced("b", at_s=26.9)
     assert not notifier.has_announced("b", at_s=27.0)
 
 
 def test_nothing_is_sent_to_strangers_or_by_a_server_that_is_not_ready() -> None:
-    notifier = PrewarmNotifier()
+    notifier = announcing()
     assert announce(notifier, server("c"), Coming("b", 12.0)) == []
     assert announce(notifier, server("b", ready=False), Coming("b", 12.0)) == []
     assert announce(notifier, server("b"), None) == []
@@ -69,7 +86,7 @@ def test_nothing_is_sent_to_strangers_or_by_a_server_that_is_not_ready() -> None
 
 
 def test_it_waits_until_a_start_and_a_margin_are_left() -> None:
-    notifier = PrewarmNotifier()
+    notifier = announcing()
     assert announce(notifier, server("b"), Coming("b", 60.0)) == []
     assert notifier.due_s == 42.0
     assert announce(notifier, server("b"), Coming("b", 18.0), 42.0) == [Prepare("a", 1, "b", 18.0, 15.0)]
@@ -77,7 +94,7 @@ def test_it_waits_until_a_start_and_a_margin_are_left() -> None:
 
 
 def test_word_is_sent_again_when_the_slot_is_held_no_longer() -> None:
-    notifier = PrewarmNotifier()
+    notifier = announcing()
     announce(notifier, server("b"), Coming("b", 5.0))
     assert announce(notifier, server("b"), Coming("b", 5.0), 19.9) == []
     assert notifier.due_s == 20.0

@@ -412,7 +412,7 @@ class Selection(Part):
                 radios.leave(server, choice.why)
         else:
             self._use(self.servers[choice.server], choice)
-        planning.announce(choice.coming)
+        planning.prewarm.announce(choice.coming)
 
     def _use(self, chosen: Server, choice: Choice) -> None:
         """Use the chosen server, and prepare another where a radio is free for it."""

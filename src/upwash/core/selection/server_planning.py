@@ -35,10 +35,12 @@ _STILL_GAINS = 0.99  # of the time on the drone, at most, where another lane ser
 _HOLD_S = 15.0  # that its slot is held after the drone should be there
 
 
-class PrewarmNotifier:
-    """Remembers the announcements of the drone to servers, and when the next is due."""
+class PrewarmNotifier(Part):
+    """Announces the drone to the servers that it uses next, and knows when the next announcement is due."""
 
-    def __init__(self) -> None:
+    def __init__(self, moment: Moment, radios: Radios) -> None:
+        super().__init__(moment)
+        self._radios = radios
         self.due_s = math.inf  # the time of the next announcement
         self._held_until_s: dict[str, float] = {}
 
@@ -46,23 +48,21 @@ class PrewarmNotifier:
         """Whether the drone had been announced to the server, so that a slot was held at `at_s`."""
         return self._held_until_s.get(server, -math.inf) > at_s
 
-    def announce(
-        self, current: Server | None, coming: Coming | None, *, start_s: float, now_s: float
-    ) -> list[Prepare]:
-        """The announcement to make now, if any: by a READY server in use, unless a slot is held already."""
-        self.due_s = math.inf
+    def announce(self, coming: Coming | None) -> None:
+        """Announce the drone if it is time: by a READY server in use, unless a slot is held already."""
+        self.due_s, current, now_s = math.inf, self._radios.in_use, self._now_s
         if coming is None or current is None or current.state is not State.READY:
-            return []
-        if coming.server not in current.peers:
-            return []
-        due_s = max(
-            now_s + coming.in_s - start_s - _EARLY_S, self._held_until_s.get(coming.server, -math.inf)
-        )
+            return
+        name = coming.server
+        if name not in current.peers or self._table.servers[name] in self._radios.selected:
+            return  # the drone asks a selected server itself
+        due_s = now_s + coming.in_s - self._estimates.start_s(name) - _EARLY_S
+        due_s = max(due_s, self._held_until_s.get(name, -math.inf))
         if due_s > now_s:
             self.due_s = due_s
-            return []
-        self._held_until_s[coming.server] = now_s + coming.in_s + _HOLD_S
-        return [Prepare(current.name, current.check, coming.server, coming.in_s, _HOLD_S)]
+            return
+        self._held_until_s[name] = now_s + coming.in_s + _HOLD_S
+        self._moment.do(Prepare(current.name, current.check, name, coming.in_s, _HOLD_S))
 
 
 class ServerPlanning(Part):
@@ -75,7 +75,7 @@ class ServerPlanning(Part):
         self.under_way: Decision | None = None  # on the call whose answer is not there yet
         self._operation: Operation | None = None  # of the call under way
         self.waiting = Counter[Operation]()  # calls that only servers compute
-        self.prewarm = PrewarmNotifier()
+        self.prewarm = PrewarmNotifier(moment, radios)
         self._short: frozenset[tuple[str, bool, bool]] = frozenset()  # of slots, as the policy was last shown
 
     def decided(self, decision: Decision, operation: Operation) -> None:
@@ -212,15 +212,6 @@ class ServerPlanning(Part):
         options = [option for option in self._options() if option.server != first.name and not option.full]
         fastest = min(options, key=lambda option: option.mean_call_s, default=None)
         return None if fastest is None else self._table.servers[fastest.server]
-
-    def announce(self, coming: Coming | None) -> None:
-        """Announce the drone to the coming server, once and in time."""
-        if coming is not None and self._table.servers[coming.server] in self._radios.selected:
-            coming = None  # the drone asks it itself
-        start_s = self._estimates.start_s(coming.server) if coming else 0.0
-        self._moment.effects += self.prewarm.announce(
-            self._radios.in_use, coming, start_s=start_s, now_s=self._now_s
-        )
 
     def made_now(self, operation: Operation) -> ExpectedCall:
         """The call that the mission makes now, as an expected call."""
