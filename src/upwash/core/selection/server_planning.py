@@ -304,12 +304,11 @@ class ServerPlanning(Part):
         return replace(forecast, calls=[*calls, *forecast.calls[len(calls) :]]) if calls else forecast
 
     def _with_waits(self, call: ComingCall) -> ComingCall:
-        waits = (
-            (offer, self._with_wait_s(offer.server, offer.call_s, call.local_s)) for offer in call.offers
-        )
-        return structs.replace(
-            call, offers=[structs.replace(offer, call_s=call_s) for offer, call_s in waits]
-        )
+        offers = [
+            structs.replace(offer, call_s=self._with_wait_s(offer.server, offer.call_s, call.local_s))
+            for offer in call.offers
+        ]
+        return structs.replace(call, offers=offers)
 
     def _with_wait_s(self, server: str, call_s: float, local_s: float) -> float:
         """The seconds of a call there with the usual wait for others; a server that gains still gains."""
