@@ -224,7 +224,8 @@ def test_a_call_that_falls_back_is_judged_as_one_on_the_drone() -> None:
     assert lightened is not None and lightened.operation == LIGHT
     coming_s = 10.0 + 3 * (LEG_S + PHOTO_S) + 0.7 + 2 * 10.0 + HOME_S
     assert lightened.forecast_s == pytest.approx(at_s + 3.0 + coming_s, abs=0.01)
-    outlook = selection.planning.outlook(at_s + 4.0)
+    selection.locate(here, at_s + 4.0)
+    outlook = selection.planning.outlook()
     assert outlook is not None and outlook.stay_s == pytest.approx(3.0 - 1.0)
 
 

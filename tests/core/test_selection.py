@@ -32,7 +32,6 @@ from upwash.core.selection.events import (
     NetworkGone,
     NoMoreCalls,
     PeerPrepared,
-    ProbePaused,
     RemoteCallEnded,
     RemoteCallFailed,
     RemoteCallRaised,
@@ -264,7 +263,12 @@ STORIES: dict[str, tuple[Callable[[], Selection], list[Step]]] = {
         [
             CHECKED,
             (3.0, UNDER_S1, ServerUnusable(1, "no answer"), "s1 CHECK BLACKLISTED, probe s1 2"),
-            (5.0, UNDER_S1, ProbePaused(2, "no model", 40.0), "s1 paused 40 s: no model, leave s1"),
+            (
+                5.0,
+                UNDER_S1,
+                ServerUnusable(2, "no model", pause_s=40.0),
+                "s1 paused 40 s: no model, leave s1",
+            ),
             *((now_s, UNDER_S1, Tick(), "") for now_s in (5.5, 13.0, 44.9)),
             (45.0, UNDER_S1, Tick(), "s1 BLACKLISTED AVL, s1 AVL CHECK, check s1 3"),
         ],

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import itertools
+import math
+from collections.abc import Sequence
 
 import pytest
 
 from upwash.core.geo import Circle, Position, Waypoint
 from upwash.core.knowledge.estimates import Beliefs, Estimates
-from upwash.core.knowledge.servers import Server, State, Trigger
+from upwash.core.knowledge.servers import Server, ServerTable, State, Trigger
 from upwash.core.operation import Operation
 from upwash.core.planning.legs import Leg, Pace
 from upwash.core.planning.mission_model import MissionBeliefs, StopCall
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.look_ahead import LookAhead
 from upwash.core.policies.policy import Coming, Local, LocationAware, Policy, Remote, Wait
-from upwash.core.selection.commands import Prepare
+from upwash.core.selection.commands import Effect, Prepare
 from upwash.core.selection.events import (
     CheckAnswered,
     LegBegun,
@@ -29,10 +31,14 @@ from upwash.core.selection.events import (
     TargetUnknown,
     Tick,
 )
+from upwash.core.selection.moment import Moment
+from upwash.core.selection.radios import Radios
+from upwash.core.selection.recovery import Recovery
 from upwash.core.selection.selection import Selection
 from upwash.core.selection.server_planning import PrewarmNotifier
+from upwash.core.selection.settings import SelectionSettings
 from upwash.core.vehicle.way_home import EnergyFacts, WayHome
-from upwash.eventlog.schema import Foreseen
+from upwash.eventlog.schema import Foreseen, Selected
 
 START_S = 8.0
 
@@ -45,42 +51,53 @@ def server(*peers: str, ready: bool = True) -> Server:
     return found
 
 
+def announcing() -> PrewarmNotifier:
+    """A drone in range of nothing, which knows three servers."""
+    table = ServerTable({name: Circle(Position(0.0, 0.0), 50.0) for name in "abc"}, idle_s=180.0)
+    estimates = Estimates(local_s={}, servers=dict.fromkeys("abc", Beliefs(START_S, 0.0, {})))
+    moment = Moment(LocationAware(), SelectionSettings(), table, estimates, Recovery(None))
+    return PrewarmNotifier(moment, Radios(moment))
+
+
 def announce(
     notifier: PrewarmNotifier, current: Server | None, coming: Coming | None, now_s: float = 0.0
-) -> list[Prepare]:
-    return notifier.announce(current, coming, start_s=START_S, now_s=now_s)
+) -> Sequence[Effect]:
+    moment = notifier._moment
+    notifier._radios.selected = [] if current is None else [current]
+    moment.now_s, moment.effects = now_s, []
+    notifier.announce(coming)
+    return moment.effects
 
 
 def test_the_coming_server_is_prepared_by_the_one_that_is_ready() -> None:
-    notifier = PrewarmNotifier()
+    notifier = announcing()
     assert announce(notifier, server("b"), Coming("b", 12.0)) == [Prepare("a", 1, "b", 12.0, 15.0)]
     assert notifier.has_announced("b", at_s=26.9)
     assert not notifier.has_announced("b", at_s=27.0)
 
 
 def test_nothing_is_sent_to_strangers_or_by_a_server_that_is_not_ready() -> None:
-    notifier = PrewarmNotifier()
+    notifier = announcing()
     assert announce(notifier, server("c"), Coming("b", 12.0)) == []
     assert announce(notifier, server("b", ready=False), Coming("b", 12.0)) == []
     assert announce(notifier, server("b"), None) == []
     assert announce(notifier, None, Coming("b", 12.0)) == []
-    assert not notifier.is_due(1e9)
+    assert notifier.due_s == math.inf
 
 
 def test_it_waits_until_a_start_and_a_margin_are_left() -> None:
-    notifier = PrewarmNotifier()
+    notifier = announcing()
     assert announce(notifier, server("b"), Coming("b", 60.0)) == []
-    assert not notifier.is_due(41.9)
-    assert notifier.is_due(42.0)
+    assert notifier.due_s == 42.0
     assert announce(notifier, server("b"), Coming("b", 18.0), 42.0) == [Prepare("a", 1, "b", 18.0, 15.0)]
-    assert not notifier.is_due(1e9)
+    assert notifier.due_s == math.inf
 
 
 def test_word_is_sent_again_when_the_slot_is_held_no_longer() -> None:
-    notifier = PrewarmNotifier()
+    notifier = announcing()
     announce(notifier, server("b"), Coming("b", 5.0))
     assert announce(notifier, server("b"), Coming("b", 5.0), 19.9) == []
-    assert notifier.is_due(20.0)
+    assert notifier.due_s == 20.0
     assert announce(notifier, server("b"), Coming("b", 5.0), 20.0) != []
 
 
@@ -118,11 +135,17 @@ def at_first(machine: Selection, *, until_s: float) -> Selection:
 NEXT = Leg(20.0, 4.0, 1.0)
 
 
+def outlook_of(machine: Selection, now_s: float) -> Outlook | None:
+    """What flying on from the first waypoint would save and cost."""
+    machine.locate(PLAN[0].position, now_s)
+    return machine.planning.outlook()
+
+
 def test_flying_on_costs_a_remote_call_only_if_its_server_is_lost_on_the_way() -> None:
     for radius_m, go_s in ((30.0, 0.5), (0.01, 0.02**0.5 + LOCAL_S)):
         machine = at_first(flight(radius_m=radius_m), until_s=PHOTO_S)
         assert isinstance(machine.decide(LOOK, now_s=1.0, position=PLAN[0].position)[0], Remote)
-        outlook = machine.planning.outlook(1.5)
+        outlook = outlook_of(machine, 1.5)
         assert outlook is not None
         assert (outlook.leg, outlook.photo_s, outlook.stay_s) == (NEXT, PHOTO_S, 0.5)
         assert outlook.go_s == pytest.approx(go_s)
@@ -139,7 +162,7 @@ def test_the_pace_of_the_vehicle_that_was_found_counts_for_the_next_leg() -> Non
     for event in (found, LegBegun(PLAN[0].position, None), LegEnded()):
         machine.handle(event, now_s=0.0, position=PLAN[0].position)
     machine.decide(LOOK, now_s=1.0, position=PLAN[0].position)
-    outlook = machine.planning.outlook(1.0)
+    outlook = outlook_of(machine, 1.0)
     assert outlook is not None and outlook.leg == Leg(20.0, 4.0, 4.0)
 
 
@@ -149,22 +172,22 @@ def test_flying_on_costs_a_call_on_the_drone_nothing_and_without_an_open_call_th
     machine = flight(east_m=900.0)
     for event in (LegBegun(PLAN[0].position, None), LegEnded()):
         machine.handle(event, now_s=0.0, position=PLAN[0].position)
-    assert machine.planning.outlook(0.5) is None
+    assert outlook_of(machine, 0.5) is None
     assert isinstance(machine.decide(LOOK, now_s=1.0, position=PLAN[0].position)[0], Local)
-    assert machine.planning.outlook(4.0) == Outlook(NEXT, PHOTO_S, 7.0, 7.0)
-    assert machine.planning.outlook(14.0) == Outlook(NEXT, PHOTO_S, 0.0, 0.0)
+    assert outlook_of(machine, 4.0) == Outlook(NEXT, PHOTO_S, 7.0, 7.0)
+    assert outlook_of(machine, 14.0) == Outlook(NEXT, PHOTO_S, 0.0, 0.0)
     machine.handle(TargetUnknown(), now_s=14.5, position=PLAN[0].position)
-    assert machine.planning.outlook(14.5) is None, "it leaves its plan"
+    assert outlook_of(machine, 14.5) is None, "it leaves its plan"
     called = at_first(flight(), until_s=PHOTO_S)
     called.decide(LOOK, now_s=1.0, position=PLAN[0].position)
     called.handle(LocalCallEnded(LOOK, 14.0), now_s=15.0, position=PLAN[0].position)
-    assert called.planning.outlook(15.0) is None
+    assert outlook_of(called, 15.0) is None
 
 
 def test_a_call_without_an_estimate_is_expected_to_be_over_at_once() -> None:
     machine = at_first(flight(), until_s=PHOTO_S)
     machine.decide(COUNT, now_s=1.0, position=PLAN[0].position)
-    assert machine.planning.outlook(1.0) == Outlook(NEXT, PHOTO_S, 0.0, 0.0)
+    assert outlook_of(machine, 1.0) == Outlook(NEXT, PHOTO_S, 0.0, 0.0)
 
 
 def test_a_call_that_waits_is_open_for_as_long_as_it_may_wait_and_then_for_its_own_time() -> None:
@@ -173,11 +196,11 @@ def test_a_call_that_waits_is_open_for_as_long_as_it_may_wait_and_then_for_its_o
         machine.handle(event, now_s=0.0, position=PLAN[0].position)
     decision, _ = machine.decide(LOOK, now_s=5.0, position=PLAN[0].position)
     assert isinstance(decision, Wait) and decision.at_most_s == 6.5
-    outlook = machine.planning.outlook(6.0)
+    outlook = outlook_of(machine, 6.0)
     assert outlook is not None and outlook.stay_s == 5.5
     after, _ = machine.decide_after_wait(LOOK, 1, now_s=11.5, position=PLAN[0].position)
     assert isinstance(after, Local)
-    outlook = machine.planning.outlook(12.0)
+    outlook = outlook_of(machine, 12.0)
     assert outlook is not None and outlook.stay_s == outlook.go_s == LOCAL_S - 0.5
 
 
@@ -185,8 +208,9 @@ def test_a_policy_that_looks_ahead_sees_the_calls_to_come_and_every_leg() -> Non
     whys = []
     for policy in (LookAhead(), LocationAware()):
         machine = flight(policy, radius_m=100.0)
-        machine.handle(LegBegun(PLAN[0].position, None), now_s=0.0, position=PLAN[0].position)
-        whys.append(machine.servers["s1"].history[-1].why)
+        step, _ = machine.handle(LegBegun(PLAN[0].position, None), now_s=0.0, position=PLAN[0].position)
+        assert isinstance(step, Selected)
+        whys.append(step.why)
         unknown = machine.handle(TargetUnknown(), now_s=1.0, position=PLAN[0].position)
         assert unknown == [], "without a forecast it stays"
     assert whys == ["serves the next 4 calls in 9.0 s", "fastest in range"]

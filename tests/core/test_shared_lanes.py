@@ -33,7 +33,8 @@ def tell(machine: Selection, event: SelectionEvent, now_s: float = NOW_S) -> lis
 
 def taken(machine: Selection, now_s: float = NOW_S) -> tuple[int, str] | None:
     """The number of the call that is decided now, and where; None while all wait."""
-    following = machine.placement.next_in_line(now_s)
+    machine.locate(UNDER_S1, now_s)
+    following = machine.placement.next_in_line()
     return None if following is None else (machine.lanes.line.index(following[0]), following[1])
 
 
@@ -99,8 +100,9 @@ def test_the_deadline_counts_the_queue_and_the_server_hears_how_long_a_call_may_
     assert (usual.deadline_s, behind.deadline_s) == (8.0, 13.0)
     assert (usual.inputs.queue_s, behind.inputs.queue_s) == (None, 5.0)
     for deadline_s, may_queue_s in ((8.0, 5.5), (13.0, 8.0), (0.5, 1.75), (-9.0, 0.0)):
-        assert machine.placement.may_queue_s("s1", HEAVY, deadline_s, NOW_S) == may_queue_s
-    assert machine.placement.may_queue_s("s1", HEAVY, 8.0, NOW_S + 5.0) == 3.0
+        assert machine.placement.may_queue_s("s1", HEAVY, deadline_s) == may_queue_s
+    machine.locate(UNDER_S1, NOW_S + 5.0)
+    assert machine.placement.may_queue_s("s1", HEAVY, 8.0) == 3.0
 
 
 @pytest.mark.parametrize("has_line", [True, False])
@@ -130,7 +132,7 @@ def test_without_a_line_the_usual_wait_is_part_of_a_call() -> None:
         tell(machine, answered(queued_s=4.0, queue_s=50.0))
     assert machine.estimates.remote_s("s1", HEAVY) == 6.0
     assert machine.lanes.queue_s("s1", NOW_S) == 0.0
-    assert machine.placement.may_queue_s("s1", HEAVY, 8.0, NOW_S) == 6.0  # 2 s of it are computed
+    assert machine.placement.may_queue_s("s1", HEAVY, 8.0) == 6.0  # 2 s of it are computed
 
 
 def test_with_a_line_the_wait_is_no_part_of_a_call() -> None:

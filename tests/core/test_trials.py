@@ -210,7 +210,6 @@ def overtaking(selection: Selection, *, began_s: float, now_s: float = 20.0) -> 
 
 def test_a_ready_server_that_is_expected_to_answer_first_computes_a_call_of_the_drone_too() -> None:
     selection = machine()
-    assert selection.overtakes
     raced, again_s = overtaking(selection, began_s=19.0)
     assert (raced, again_s) == (Remote("s1", 3.0, "s1 is ready, and sooner", raced=True), math.inf)
     assert overtaking(selection, began_s=20.0 - 7.25) == (None, math.inf), "the drone is as soon"
@@ -224,8 +223,8 @@ def test_a_server_with_a_call_of_the_drone_is_not_free_for_another() -> None:
         each.lanes.hold("a loser", "s1", 22.0)
     assert overtaking(selection, began_s=19.0) == (None, math.inf)
     second = selection.placement.second
-    assert second(HEAVY, "s2", 20.0, begins=True) is None
-    assert second(HEAVY, "s2", 20.0, begins=False) is selection.current, "it may be free by then"
+    assert second(HEAVY, "s2", begins=True) is None
+    assert second(HEAVY, "s2", begins=False) is selection.current, "it may be free by then"
     behind, _ = selection.decide(HEAVY, now_s=20.0, position=UNDER_S1)
     assert isinstance(behind, Remote)
     assert (behind.inputs.remote_s, behind.deadline_s) == (2.75, 8.0), (
@@ -245,7 +244,6 @@ def test_a_server_that_is_out_of_range_or_checked_overtakes_nothing() -> None:
     away = machine().overtake(HEAVY, began_s=19.0, now_s=20.0, position=NOWHERE)
     assert away == (None, math.inf)
     without_probing = ready()()
-    assert not without_probing.overtakes
     assert overtaking(without_probing, began_s=19.0) == (None, math.inf)
     settings = SelectionSettings(probing=Probing())
     estimates = Estimates(local_s={HEAVY: 8.0}, servers={"s1": Beliefs(11.5, 3.5, {HEAVY: 0.75})})

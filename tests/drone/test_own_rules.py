@@ -199,7 +199,9 @@ def test_a_defect_ends_offloading_and_not_the_mission(
     mine: Path, policy: str, why: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if policy == "Silent":
-        monkeypatch.setattr(own_policy, "ANSWERS_WITHIN_S", 0.5)  # well below a tenth of the flight until then
+        monkeypatch.setattr(
+            own_policy, "ANSWERS_WITHIN_S", 0.5
+        )  # well below a tenth of the flight until then
     told, leaves_ranges = own(mine, policy), policy in ("TooSoon", "Nowhere", "Lost")
     config = field(**told) if leaves_ranges else line(None if policy == "NotThere" else 4.0, **told)
     if policy == "NoGap":

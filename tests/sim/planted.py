@@ -47,6 +47,7 @@ from upwash.core.knowledge.servers import Server, ServerTable, State, Trigger
 from upwash.core.planning.stay_or_go import Outlook, StayRule
 from upwash.core.policies.policy import CallInputs, Deadline, Remote, Wait, WaitRule
 from upwash.core.selection.hedging import Hedging
+from upwash.core.selection.moment import Moment
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import Probing, Recovery, ServerFailures
 from upwash.drone import flight, server_session
@@ -169,10 +170,10 @@ async def network_error_raised(send: Any, self: Offloading, told: steps.Send, se
     return event
 
 
-@planted("the blacklist is left too early", ServerTable, "expire")
-def blacklist_ignored(expire: Any, self: ServerTable, now_s: float, *, probed: Any) -> Any:
+@planted("the blacklist is left too early", ServerTable, "expired")
+def blacklist_ignored(expired: Any, self: ServerTable, now_s: float, *, probed: Any) -> Any:
     left_alone_s = max(server.left_alone_s for server in self.servers.values())
-    return expire(self, now_s + left_alone_s * 0.9, probed=probed)
+    return expired(self, now_s + left_alone_s * 0.9, probed=probed)
 
 
 @planted("a blacklisted server is asked once more", ServerSession, "end")
@@ -195,21 +196,19 @@ def range_not_checked(original: Any, self: ServerTable, position: Position, now_
 
 
 @planted("two servers are selected", Radios, "leave")
-def two_servers_selected(original: Any, self: Radios, server: Server, why: str, now_s: float) -> Any:
+def two_servers_selected(original: Any, self: Radios, server: Server, why: str) -> None:
     self.selected.remove(server)
-    return []
 
 
 _LAST_SELECTED = property(lambda radios: radios.selected[-1] if radios.selected else None)
 plant("calls go to the server in preparation", Radios, "in_use", _LAST_SELECTED)
 
 
-@planted("a transition of the server table is skipped", Server, "apply")
-def transition_skipped(apply: Any, self: Server, event: Trigger, *, now_s: float, why: str = "") -> Any:
-    if event is Trigger.FOUND_STOPPED:
-        self.state = State.CHECK
-        return apply(self, Trigger.FOUND_RUNNING, now_s=now_s, why=why)
-    return apply(self, event, now_s=now_s, why=why)
+@planted("a transition of the server table is skipped", Moment, "step")
+def transition_skipped(step: Any, self: Moment, server: Server, trigger: Trigger, why: str = "") -> None:
+    if trigger is Trigger.FOUND_STOPPED:
+        server.state, trigger = State.CHECK, Trigger.FOUND_RUNNING
+    step(self, server, trigger, why)
 
 
 @planted("leases do not end", AdmissionController, "_end_leases")
@@ -430,13 +429,13 @@ def pause_ignored(original: Any, self: Server, pause_s: float, now_s: float) -> 
 
 @planting("a server that was found stopped counts as running, and nothing bounds the pace of selections")
 def stopped_counts_as_running() -> Planting:
-    deselect, planted = Server.deselect, contextlib.ExitStack()
+    leave, planted = Radios.leave, contextlib.ExitStack()
 
-    def believed_running(self: Server, **how: Any) -> Any:
-        self.start_requested = self.start_requested or self.found_stopped
-        return deselect(self, **how)
+    def believed_running(self: Radios, server: Server, why: str) -> None:
+        server.start_requested = server.start_requested or server.found_stopped
+        leave(self, server, why)
 
-    planted.enter_context(patch.object(Server, "deselect", believed_running))
+    planted.enter_context(patch.object(Radios, "leave", believed_running))
     planted.enter_context(patch.object(Radios, "_is_put_off", lambda *_: False))
     return planted
 

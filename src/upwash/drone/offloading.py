@@ -180,11 +180,11 @@ class Offloading:
 
     def outlook(self) -> Outlook | None:
         """What flying on before the open call is over would save and cost; None if nothing is known."""
-        return self._ask(lambda: self._planning.outlook(now_s()))
+        return self._ask(lambda: self._planning.outlook())  # noqa: PLW0108 - located in `_ask`
 
     def believed(self, operations: Sequence[Operation]) -> Mapping[str, ServerBelief]:
         """The servers that may compute these operations, and the mean seconds of a call at each."""
-        return self._ask(lambda: self._planning.believed(operations, now_s())) or {}
+        return self._ask(lambda: self._planning.believed(operations)) or {}
 
     def where_to_wait(self, stay: Stay) -> str | None:
         """The server of the range where a resting drone waits for answers; None for where it is."""
@@ -200,7 +200,7 @@ class Offloading:
 
     def reach_s(self, operation: Operation) -> float | None:
         """Seconds until a server in range answers a call that only servers compute; None where none can."""
-        return self._ask(lambda: self._planning.reach_s(operation, now_s(), self._autopilot.position))
+        return self._ask(lambda: self._planning.reach_s(operation))
 
     @property
     def _planning(self) -> ServerPlanning:

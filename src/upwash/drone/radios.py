@@ -159,7 +159,7 @@ class RadioWorker:
 
     async def _probe(self, session: ServerSession, command: Probe) -> None:
         """Return at the first reply. Probes overlap: a pending one does not delay the next."""
-        asking: set[asyncio.Task[events.ProbeAnswered | events.ProbePaused]] = set()
+        asking: set[asyncio.Task[events.RadioEvent]] = set()
         asked = False
         try:
             for pause_s in command.probing.pauses_s(alone_s=command.alone_s):
@@ -213,11 +213,11 @@ def _failed(check: int, error: NetworkError | LinkError) -> events.ServerUnusabl
     return events.ServerUnusable(check, str(error), isinstance(error, UNREACHED), pause_s)
 
 
-async def _question(session: ServerSession, check: int) -> events.ProbeAnswered | events.ProbePaused:
+async def _question(session: ServerSession, check: int) -> events.RadioEvent:
     try:
         return events.ProbeAnswered(check, await session.probe())
     except ServicePaused as refusal:
-        return events.ProbePaused(check, str(refusal), refusal.pause_s)
+        return _failed(check, refusal)
 
 
 async def _first_success(tasks: set[asyncio.Task[T]], *, within_s: float) -> T | None:

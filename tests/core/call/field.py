@@ -236,13 +236,11 @@ class Field:
             return REMOTE, math.inf
         return None, 100 + self.overtakes_s[0] if self.overtakes_s else math.inf
 
-    def better(
-        self, operation: Operation, by_s: float, now_s: float, *, is_next: bool
-    ) -> tuple[Remote | None, bool]:
+    def better(self, operation: Operation, by_s: float, *, is_next: bool) -> tuple[Remote | None, bool]:
         found = self.betters.pop(0) if len(self.betters) > 1 else self.betters[0]
         return found if is_next else (None, True)
 
-    def second(self, operation: Operation, beside: str, now_s: float, *, begins: bool) -> Any:
+    def second(self, operation: Operation, beside: str, *, begins: bool) -> Any:
         self.seconds.append(begins)
         return None if self.second_server is None else self.servers[self.second_server]
 
@@ -252,13 +250,13 @@ class Field:
     def may_send(self, server: str, check: int) -> bool:
         return not self.is_left
 
-    def may_queue_s(self, server: str, operation: Operation, deadline_s: float, now_s: float) -> float:
+    def may_queue_s(self, server: str, operation: Operation, deadline_s: float) -> float:
         return deadline_s / 2
 
-    def reach_s(self, operation: Operation, now_s: float, position: Position) -> float | None:
+    def reach_s(self, operation: Operation) -> float | None:
         return self.reaches_s
 
-    def next_in_line(self, now_s: float) -> tuple[InLine, str] | None:
+    def next_in_line(self) -> tuple[InLine, str] | None:
         line = self.lanes.line
         if not line or self.lane is None or not (self.lanes.is_free("local") or self.lanes.is_free("s1")):
             return None

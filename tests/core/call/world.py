@@ -71,7 +71,7 @@ class World(Field):
         self.may_come = True
         self.has_second = True
 
-    def next_in_line(self, now_s: float) -> tuple[InLine, str] | None:
+    def next_in_line(self) -> tuple[InLine, str] | None:
         drone, server = self.lanes.is_free(ON_DRONE), self.lanes.is_free("s1")
         for call in self.lanes.line:
             if call.on_drone or call.needs_server:
@@ -107,7 +107,7 @@ class World(Field):
     def better(self, operation: Operation, by_s: float, *_: Any, is_next: bool) -> tuple[Remote | None, bool]:
         return (RACED if self.has_better and is_next else None), self.may_come
 
-    def second(self, operation: Operation, beside: str, now_s: float, *, begins: bool) -> Any:
+    def second(self, operation: Operation, beside: str, *, begins: bool) -> Any:
         is_free = self.lanes.is_free("s2") or not begins
         return self.servers["s2"] if self.has_second and is_free and beside == "s1" else None
 

@@ -222,7 +222,7 @@ class Calls:
         if self._deciding is not None or not self.lanes.line:
             self._unused_since_s = None
             return
-        following = self.placement.next_in_line(self.now_s)
+        following = self.placement.next_in_line()
         if following is None:
             self._watch_unused()
             return
@@ -323,7 +323,7 @@ class Calls:
 
     def better(self, call: Call, by_s: float, *, is_next: bool) -> tuple[Remote | None, bool]:
         """The server for the call's better answer, logged, or None; and whether one may become of use in time."""
-        remote, may_come = self.placement.better(call.operation, by_s, self.now_s, is_next=is_next)
+        remote, may_come = self.placement.better(call.operation, by_s, is_next=is_next)
         if remote is not None:
             self._decided(call, call.operation, remote)
         return remote, may_come
@@ -354,7 +354,7 @@ class Calls:
         """The seconds after which a second server gets a call that this one has not answered; infinite for none."""
         if self.deadlines.within_s(operation) is None:
             return math.inf
-        second = self.placement.second(operation, server, self.now_s, begins=False)
+        second = self.placement.second(operation, server, begins=False)
         plan = self.deadlines.prospect(operation, server, None if second is None else second.name)
         return math.inf if plan is None or plan.after_s is None else plan.after_s
 
@@ -362,7 +362,7 @@ class Calls:
         """The server that gets a call beside the first attempt, as counted; None if none may get it."""
         if not self.deadlines.may_ask(first.operation):
             return None
-        server = self.placement.second(first.operation, first.server, self.now_s, begins=True)
+        server = self.placement.second(first.operation, first.server, begins=True)
         if server is None:
             return None
         self.deadlines.asked(first.operation)
@@ -401,7 +401,7 @@ class Calls:
 
     def send(self, attempt: Attempt, deadline_s: float) -> None:
         """Send the attempt's request."""
-        may_queue_s = self.placement.may_queue_s(attempt.server, attempt.operation, deadline_s, self.now_s)
+        may_queue_s = self.placement.may_queue_s(attempt.server, attempt.operation, deadline_s)
         self.do(steps.Send(attempt, deadline_s, may_queue_s))
 
     # --- on the drone ---------------------------------------------------------------------------------------

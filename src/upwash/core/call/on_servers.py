@@ -91,9 +91,7 @@ class OnServers(Manner):
         """The mission waits for the call: without a deadline it waits only while a server in range can answer."""
         if self._limit_s < math.inf:
             return
-        reach_s = self.calls.selection.planning.reach_s(
-            self.call.asked.operation, self.calls.now_s, self.calls.here
-        )
+        reach_s = self.calls.selection.planning.reach_s(self.call.asked.operation)
         if reach_s is None:
             self.limit("no server in range can answer, and the mission waits")
         else:

@@ -12,8 +12,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from msgspec import Struct
-
 from upwash.core.geo import Position, Reach
 from upwash.core.knowledge.ranges import Ranges
 from upwash.errors import TransitionError
@@ -87,18 +85,6 @@ TRANSITIONS: dict[tuple[State, Trigger], State] = {
 }
 
 
-class Change(Struct, frozen=True):
-    """A server's change of state by the table, and why."""
-
-    server: str
-    event: Trigger
-    before: State
-    after: State
-    at_s: float
-    why: str
-    check: int  # the number of the server's check or probe that the step belongs to
-
-
 @dataclass(slots=True)
 class Server:
     """One entry of the server table."""
@@ -120,7 +106,7 @@ class Server:
     left_out_until_s: float = -math.inf  # as it said
     in_range_since_s: float | None = None
     peers: frozenset[str] = frozenset()  # the servers that its daemon can have prepared, as it last said
-    history: deque[Change] = field(default_factory=lambda: deque(maxlen=_HISTORY_LENGTH))
+    history: deque[str] = field(default_factory=lambda: deque(maxlen=_HISTORY_LENGTH))
 
     @property
     def in_range(self) -> bool:
@@ -140,35 +126,31 @@ class Server:
         known_s = [said_s for said_s in (self.full_s, self.contended_s) if now_s - said_s < _REMEMBERED_S]
         return min(known_s, default=math.inf) + _REMEMBERED_S
 
-    def apply(self, event: Trigger, *, now_s: float, why: str = "") -> Change:
-        """Change the state as TRANSITIONS says, and return the change.
+    def apply(self, event: Trigger, *, now_s: float) -> None:
+        """Change the state as TRANSITIONS says.
 
         Raises TransitionError, with the server's history, if the table has no such step.
         """
         after = TRANSITIONS.get((self.state, event))
         if after is None:
-            steps = [f"{past.at_s:.3f} {past.before} {past.event} {past.after}" for past in self.history]
             impossible = f"server {self.name}: {event} is impossible in {self.state}"
-            raise TransitionError(f"{impossible}; before that: {'; '.join(steps) or 'nothing'}")
-        change = Change(self.name, event, self.state, after, now_s, why, self.check)
-        self.history.append(change)
-        self.state = after
-        self.since_s = now_s
+            raise TransitionError(f"{impossible}; before that: {'; '.join(self.history) or 'nothing'}")
+        self.history.append(f"{now_s:.3f} {self.state} {event} {after}")
+        self.state, self.since_s = after, now_s
         if event in (Trigger.SELECTED, Trigger.TURN_OVER):
             self.checked_since_s = now_s
             self.found_stopped = self.start_requested = self.refused = False
-        return change
+
+    @property
+    def deselection(self) -> Trigger:
+        """The event that changes the selected server's state to AVL or AVL-R."""
+        starting = self.state is State.CHECK and self.start_requested
+        return Trigger.DESELECTED_AFTER_START if starting else Trigger.DESELECTED
 
     def leave_out(self, pause_s: float, now_s: float) -> None:
         """Keep the blacklisted server unprobed for the `pause_s` that it reported."""
         self.left_out_until_s = now_s + pause_s
         self.left_alone_s = max(self.left_alone_s, self.left_out_until_s - self.since_s)
-
-    def deselect(self, *, now_s: float, why: str) -> Change:
-        """Change the selected server's state to AVL or AVL-R, and return the change."""
-        starting = self.state is State.CHECK and self.start_requested
-        trigger = Trigger.DESELECTED_AFTER_START if starting else Trigger.DESELECTED
-        return self.apply(trigger, now_s=now_s, why=why)
 
 
 class ServerTable:
@@ -202,22 +184,16 @@ class ServerTable:
 
     def next_expiry_s(self, *, probed: Collection[Server]) -> float:
         """The time before which nothing expires; infinite if nothing will."""
-        return min((at_s for _, at_s in self._expiring(probed)), default=math.inf)
+        return min((at_s for _, _, at_s in self._expiring(probed)), default=math.inf)
 
-    def expire(self, now_s: float, *, probed: Collection[Server]) -> list[Change]:
-        """End blacklistings, except of probed servers, and the belief that idle services still run."""
-        changes = []
-        for server, at_s in self._expiring(probed):
-            if now_s >= at_s:
-                is_blacklisted = server.state is State.BLACKLISTED
-                trigger = Trigger.BLACKLIST_EXPIRED if is_blacklisted else Trigger.IDLE_EXPIRED
-                changes.append(server.apply(trigger, now_s=now_s))
-        return changes
+    def expired(self, now_s: float, *, probed: Collection[Server]) -> list[tuple[Server, Trigger]]:
+        """The steps that are due: of blacklisted servers that are not probed, and of idle services."""
+        return [(server, trigger) for server, trigger, at_s in self._expiring(probed) if now_s >= at_s]
 
-    def _expiring(self, probed: Collection[Server]) -> Iterator[tuple[Server, float]]:
-        """The servers whose state time alone changes, and when."""
+    def _expiring(self, probed: Collection[Server]) -> Iterator[tuple[Server, Trigger, float]]:
+        """The servers whose state time alone changes, how, and when."""
         for server in self._met:
             if server.state is State.AVL_R:
-                yield server, server.since_s + self._idle_s
+                yield server, Trigger.IDLE_EXPIRED, server.since_s + self._idle_s
             elif server.state is State.BLACKLISTED and server not in probed:
-                yield server, server.since_s + server.left_alone_s
+                yield server, Trigger.BLACKLIST_EXPIRED, server.since_s + server.left_alone_s

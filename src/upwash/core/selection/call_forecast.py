@@ -47,8 +47,7 @@ class CallForecast:
     _choices: dict[tuple[str | None, tuple[str, ...], Position | None], str | None] = field(
         default_factory=dict
     )
-    # With no check under way.
-    _delays_s: dict[tuple[str | None, Operation, Position | None], float] = field(default_factory=dict)
+    _delays_s: dict[tuple[CallPlace, Operation, Position | None], float] = field(default_factory=dict)
 
     def places(self, calls: Iterable[ExpectedCall]) -> Iterator[CallPlace]:
         """The place of each call, in the order of the calls."""
@@ -74,17 +73,15 @@ class CallForecast:
         operation = operation or call.operation
         measured = place.server is not None and self._estimates.is_measured(place.server)
         at = call.position if measured else None  # elsewhere the delay is the same at all places
-        if place.ready_in_s > 0:
-            return self._decided_s(place, operation, at)
-        delay_s = self._delays_s.get((place.server, operation, at))
+        key = place, operation, at
+        delay_s = self._delays_s.get(key)
         if delay_s is None:
-            delay_s = self._delays_s[place.server, operation, at] = self._decided_s(place, operation, at)
+            delay_s = self._delays_s[key] = self._decided_s(*key)
         return delay_s
 
     def _decided_s(self, place: CallPlace, operation: Operation, at: Position | None) -> float:
-        first = self.first.get(operation)
-        decided_s = self._placed_s(place, operation, at)
-        first_s = self._estimates.local_s(first) if first is not None else None
+        decided_s, first = self._placed_s(place, operation, at), self.first.get(operation)
+        first_s = None if first is None else self._estimates.local_s(first)
         return decided_s if first_s is None else min(first_s, decided_s)
 
     def _placed_s(self, place: CallPlace, operation: Operation, at: Position | None) -> float:
@@ -106,12 +103,9 @@ class CallForecast:
                 is_foreseen=True,
             )
         )
-        match decision:
-            case Local():
-                return local_s
-            case Remote():
-                return remote_s
-        return place.ready_in_s + remote_s
+        if isinstance(decision, Local):
+            return local_s
+        return remote_s if isinstance(decision, Remote) else place.ready_in_s + remote_s
 
     def _server(self, current: str | None, call: ExpectedCall, at_s: float) -> str | None:
         usable = [name for name in call.in_range_s if self.unusable_s.get(name, 0.0) <= at_s]

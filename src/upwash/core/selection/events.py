@@ -28,83 +28,71 @@ class MissionBegun(SelectionEvent, frozen=True):
     pace: Pace | None = None
 
 
-class CheckAnswered(SelectionEvent, frozen=True):
+class RadioEvent(SelectionEvent, frozen=True):
+    """The base of what is reported of a server that was asked; `check` is the number of its check or probe."""
+
+    check: int
+
+
+class CheckAnswered(RadioEvent, frozen=True):
     """The daemon answered that the server is available, and whether all services of the mission run.
 
     `peers` are the servers that it can have prepared; `waiting` drones queue for a slot.
     """
 
-    check: int
     running: bool
     peers: tuple[str, ...] = ()
     waiting: int = 0
 
 
-class SlotRefused(SelectionEvent, frozen=True):
+class SlotRefused(RadioEvent, frozen=True):
     """The server is full and `waiting` drones queue; the drone asks again."""
 
-    check: int
     waiting: int
 
 
-class LeaseRenewed(SelectionEvent, frozen=True):
+class LeaseRenewed(RadioEvent, frozen=True):
     """The server keeps the drone's slot; `waiting` other drones queue."""
 
-    check: int
     waiting: int
 
 
-class SlotTaken(SelectionEvent, frozen=True):
+class SlotTaken(RadioEvent, frozen=True):
     """The server, READY since that check, gave the drone's slot to another drone; `in_call` if during a call."""
 
-    check: int
     why: str
     in_call: bool = False
 
 
-class ServicesStarted(SelectionEvent, frozen=True):
+class ServicesStarted(RadioEvent, frozen=True):
     """The daemon started the services and gave their endpoints."""
 
-    check: int
 
-
-class ServerUnusable(SelectionEvent, frozen=True):
+class ServerUnusable(RadioEvent, frozen=True):
     """The server could not be joined, did not answer in time, is unavailable or could not start a service.
 
-    In the first two cases it is `unreached`. If a service keeps failing there, the server is not used for `pause_s`.
+    In the first two cases it is `unreached`. If a service keeps failing there, the server is not used for `pause_s`;
+    that ends a probe too.
     """
 
-    check: int
     why: str
     unreached: bool = False
     pause_s: float = 0.0
 
 
-class ProbePaused(SelectionEvent, frozen=True):
-    """The probed server reports a service that keeps failing; the server is not used for `pause_s`."""
-
-    check: int
-    why: str
-    pause_s: float
-
-
-class ProbeAnswered(SelectionEvent, frozen=True):
+class ProbeAnswered(RadioEvent, frozen=True):
     """A failed server answered a probe, and so did its running services; `running` if all services run."""
 
-    check: int
     running: bool
 
 
-class ProbeUnanswered(SelectionEvent, frozen=True):
+class ProbeUnanswered(RadioEvent, frozen=True):
     """A failed server has not answered a probe by the time of the next."""
 
-    check: int
 
-
-class NetworkGone(SelectionEvent, frozen=True):
+class NetworkGone(RadioEvent, frozen=True):
     """The network that was joined for the check is no longer connected."""
 
-    check: int
     why: str
 
 

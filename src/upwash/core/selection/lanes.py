@@ -92,11 +92,6 @@ class Lanes:
         step = -1 if self.newest_first else 1
         return [*self._urgent, *self._of_servers[::step], *self._others[::step]]
 
-    @property
-    def first(self) -> InLine | None:
-        """The first in line."""
-        return next(iter(self.line), None)
-
     def enter(self, call: InLine) -> None:
         """Put the call behind those of its group that were made before it."""
         bisect.insort(self._group(call), call, key=lambda call: call.since_s)

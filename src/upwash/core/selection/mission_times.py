@@ -20,7 +20,6 @@ Each call is judged anew, by the measurements until then. Where calls run is for
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 from msgspec import structs
 
@@ -30,8 +29,8 @@ from upwash.core.planning.legs import Pace
 from upwash.core.planning.mission_model import CallClock, ExpectedCall, MissionBeliefs, MissionModel
 from upwash.core.policies.policy import Lightened
 from upwash.core.selection.call_forecast import CallPlace
+from upwash.core.selection.moment import Moment, Part
 from upwash.core.selection.server_planning import ServerPlanning
-from upwash.core.selection.settings import LighterSettings, SelectionSettings
 from upwash.core.vehicle.way_home import UNKNOWN, EnergyFacts, descent_s
 from upwash.eventlog.schema import Foreseen
 
@@ -41,44 +40,97 @@ def is_lighter(saves_s: float, others_save_s: Iterable[float], late_s: float) ->
     return saves_s > 0 and sum(each_s for each_s in others_save_s if each_s > saves_s) < late_s
 
 
-@dataclass(slots=True, eq=False)
-class Lighter:
-    """Decides which calls of one mission run lighter."""
+class MissionTimes(Part):
+    """Foresees one mission, and decides which of its calls run lighter.
 
-    _settings: LighterSettings
-    _planning: ServerPlanning
-    begun_s: float | None = None  # the mission's time
-    home_s: float = 0.0  # from the last waypoint to landed
+    `mission` is a model of its own: it sees the whole mission, from the ground.
+    """
 
-    def judge(
-        self, operation: Operation, *, now_s: float, position: Position, on_drone: bool = False
-    ) -> Lightened | None:
+    def __init__(
+        self, moment: Moment, planning: ServerPlanning, beliefs: MissionBeliefs, mission: MissionModel
+    ) -> None:
+        super().__init__(moment)
+        self._planning, self._beliefs, self._mission = planning, beliefs, mission
+        self._begun_s: float | None = None  # the mission's time
+        self._leaving_s = 0.0  # from the last waypoint over the places after it
+        self._home_s = 0.0  # from there to landed
+
+    def judge(self, operation: Operation, *, on_drone: bool = False) -> Lightened | None:
         """The lighter operation of a call that is made now; None if it runs as asked for.
 
-        Tell the mission's model of the call first. With `on_drone` the call runs there, whatever the policy says.
+        Tell the planning's model of the call first. With `on_drone` the call runs there, whatever the policy says.
         """
-        lighter = self._settings.operations.get(operation)
-        if lighter is None or self.begun_s is None:
+        settings, now_s = self._settings.lighter, self._now_s
+        if settings is None or self._begun_s is None or operation not in settings.operations:
             return None
-        calls = [
-            self._planning.made_now(operation, now_s),
-            *self._planning.mission.rest(position, now_s=now_s),
-        ]
-        placing = self._planning.placing(now_s)
+        lighter_of, placing = settings.operations, self._planning.placing()
+        rest = self._planning.mission.rest(self._moment.here, now_s=now_s)
+        calls = [self._planning.made_now(operation), *rest]
         places = list(placing.places(calls))
         if on_drone:
             places[0] = CallPlace()
-        takes_s = [placing.delay_s(place, call) for place, call in zip(places, calls, strict=True)]
-        lighter_of = self._settings.operations
-        lighter_s = [
-            placing.delay_s(place, call, lighter_of.get(call.operation))
-            for place, call in zip(places, calls, strict=True)
-        ]
-        forecast_s = now_s - self.begun_s + _over_s(calls, takes_s) + self.home_s
+        placed = list(zip(places, calls, strict=True))
+        takes_s = [placing.delay_s(place, call) for place, call in placed]
+        lighter_s = [placing.delay_s(place, call, lighter_of.get(call.operation)) for place, call in placed]
+        home_s = self._leaving_s + self._home_s
+        forecast_s = now_s - self._begun_s + _over_s(calls, takes_s) + home_s
         saves_s = [max(0.0, as_asked - less) for as_asked, less in zip(takes_s, lighter_s, strict=True)]
-        if not is_lighter(saves_s[0], saves_s[1:], forecast_s - self._settings.finish_by_s):
+        if not is_lighter(saves_s[0], saves_s[1:], forecast_s - settings.finish_by_s):
             return None
-        return Lightened(lighter, operation, forecast_s, self._settings.finish_by_s)
+        return Lightened(lighter_of[operation], operation, forecast_s, settings.finish_by_s)
+
+    def begin(self, vehicle: EnergyFacts, found: Pace | None) -> None:
+        """Note that the mission begins now; log its expected times, if a waypoint and a call are known."""
+        self._begun_s = now_s = self._now_s
+        if not self._beliefs.plan:
+            return
+        first, last = self._beliefs.plan[0], self._beliefs.plan[-1].position
+        if self._beliefs.leaving:
+            last = self._beliefs.leaving[-1].position
+        way, pace = vehicle.way_home or UNKNOWN, self._beliefs.pace_of(found)
+        self._home_s = pace.home_share * (
+            way.hover_s + descent_s(last.altitude_m, way)
+            if self._settings.lands
+            else vehicle.time_home_s(last)
+        )
+        takeoff_s = pace.takeoff_s(self._settings.takeoff_m)
+        self._mission.begun(found)
+        self._leaving_s = self._mission.leaving_s()
+        height_m = first.position.altitude_m
+        if first.row_end is not None:  # of a survey, whose first leg may climb on
+            height_m = self._settings.takeoff_m or height_m
+        here = self._moment.here
+        start = Position(here.east_m, here.north_m, height_m)
+        self._mission.leg_begun(start, first.position, first.ground_speed_m_s, now_s=now_s, via=first.via)
+        calls = self._mission.rest(start, now_s=now_s)
+        if not calls:
+            return
+        reached_s, as_asked_s = self._times(calls, takeoff_s)
+        foreseen = Foreseen(reached_s=reached_s, as_asked_s=as_asked_s)
+        if (settings := self._settings.lighter) is not None:
+            of = settings.operations
+            calls = [
+                structs.replace(call, operation=of.get(call.operation, call.operation)) for call in calls
+            ]
+            _, lightest_s = self._times(calls, takeoff_s)
+            foreseen = structs.replace(foreseen, lightest_s=lightest_s, finish_by_s=settings.finish_by_s)
+        self._moment.do(foreseen)
+
+    def _times(self, calls: Sequence[ExpectedCall], takeoff_s: float) -> tuple[Sequence[float], float]:
+        """When each waypoint is reached, and when the mission is over."""
+        stop = self._beliefs.stop
+        placing = self._planning.placing()
+        reached_s: list[float] = []
+        clock = CallClock(takeoff_s, takeoff_s)
+        for number, (call, place) in enumerate(zip(calls, placing.places(calls), strict=True)):
+            clock.begin(call)
+            if number % len(stop) == 0:
+                reached_s.append(round(clock.reached_s - (0.0 if call.hides else stop[0].pause_s), 1))
+            clock.end(placing.delay_s(place, call))
+        over_s = clock.at_s
+        if self._leaving_s:  # while the last answers come
+            over_s = max(over_s, clock.reached_s + self._leaving_s)
+        return reached_s, over_s + self._home_s
 
 
 def _over_s(calls: Sequence[ExpectedCall], takes_s: Sequence[float]) -> float:
@@ -90,80 +142,3 @@ def _over_s(calls: Sequence[ExpectedCall], takes_s: Sequence[float]) -> float:
         clock.begin(call)
         clock.end(delay_s)
     return clock.at_s
-
-
-@dataclass(slots=True, eq=False)
-class Timetable:
-    """Foresees one mission, by a model of its own.
-
-    `home_s` is the time from its last call to landed, once it has begun.
-    """
-
-    _planning: ServerPlanning
-    _beliefs: MissionBeliefs
-    _mission: MissionModel
-    _settings: SelectionSettings
-    home_s: float = 0.0
-    leaving_s: float = 0.0  # from the last waypoint over the places after it
-
-    @property
-    def after_s(self) -> float:
-        """The time from the last waypoint to landed, once it has begun."""
-        return self.leaving_s + self.home_s
-
-    def begin(
-        self, vehicle: EnergyFacts, found: Pace | None, *, now_s: float, position: Position
-    ) -> Foreseen | None:
-        """The expected times of the mission, which begins now; None if no waypoint or no call is known."""
-        if not self._beliefs.plan:
-            return None
-        first, last = self._beliefs.plan[0], self._beliefs.plan[-1].position
-        if self._beliefs.leaving:
-            last = self._beliefs.leaving[-1].position
-        way, pace = vehicle.way_home or UNKNOWN, self._beliefs.pace_of(found)
-        self.home_s = pace.home_share * (
-            way.hover_s + descent_s(last.altitude_m, way)
-            if self._settings.lands
-            else vehicle.time_home_s(last)
-        )
-        takeoff_s = pace.takeoff_s(self._settings.takeoff_m)
-        self._mission.begun(found)
-        self.leaving_s = self._mission.leaving_s()
-        height_m = first.position.altitude_m
-        if first.row_end is not None:  # of a survey, whose first leg may climb on
-            height_m = self._settings.takeoff_m or height_m
-        start = Position(position.east_m, position.north_m, height_m)
-        self._mission.leg_begun(start, first.position, first.ground_speed_m_s, now_s=now_s, via=first.via)
-        calls = self._mission.rest(start, now_s=now_s)
-        if not calls:
-            return None
-        reached_s, as_asked_s = self._times(calls, now_s, takeoff_s)
-        settings = self._settings.lighter
-        if settings is None:
-            return Foreseen(reached_s=reached_s, as_asked_s=as_asked_s)
-        of = settings.operations
-        lighter = [structs.replace(call, operation=of.get(call.operation, call.operation)) for call in calls]
-        _, lightest_s = self._times(lighter, now_s, takeoff_s)
-        return Foreseen(
-            reached_s=reached_s,
-            as_asked_s=as_asked_s,
-            lightest_s=lightest_s,
-            finish_by_s=settings.finish_by_s,
-        )
-
-    def _times(
-        self, calls: Sequence[ExpectedCall], now_s: float, takeoff_s: float
-    ) -> tuple[Sequence[float], float]:
-        stop = self._beliefs.stop
-        placing = self._planning.placing(now_s)
-        reached_s: list[float] = []
-        clock = CallClock(takeoff_s, takeoff_s)
-        for number, (call, place) in enumerate(zip(calls, placing.places(calls), strict=True)):
-            clock.begin(call)
-            if number % len(stop) == 0:
-                reached_s.append(round(clock.reached_s - (0.0 if call.hides else stop[0].pause_s), 1))
-            clock.end(placing.delay_s(place, call))
-        over_s = clock.at_s
-        if self.leaving_s:  # while the last answers come
-            over_s = max(over_s, clock.reached_s + self.leaving_s)
-        return reached_s, over_s + self.home_s

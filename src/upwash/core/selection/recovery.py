@@ -81,9 +81,9 @@ class _Doubt(Struct, frozen=True):
 
 
 class Recovery:
-    """The failures of one drone's servers, and the trial calls that are due."""
+    """The failures of one drone's servers, and the trial calls that are due; without probing nothing is in doubt."""
 
-    def __init__(self, probing: Probing) -> None:
+    def __init__(self, probing: Probing | None) -> None:
         self.probing = probing
         self._failures: dict[str, ServerFailures] = {}
         self._doubts: dict[str, dict[Operation, _Doubt]] = {}
@@ -135,6 +135,8 @@ class Recovery:
         return max(0.0, failures.last_s + failures.alone_s - now_s)
 
     def _doubt(self, server: str, operation: Operation, now_s: float) -> None:
+        if self.probing is None:
+            return
         doubts = self._doubts.setdefault(server, {})
         known = doubts.get(operation)
         doubts[operation] = _Doubt(known.since_s if known else now_s, now_s)

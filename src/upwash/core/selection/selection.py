@@ -22,7 +22,7 @@ Laws:
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 from msgspec import structs
@@ -31,30 +31,32 @@ from upwash.core.geo import Position, Reach
 from upwash.core.knowledge.coverage import MeasuredPlace
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.ranges import AreaIndex
-from upwash.core.knowledge.servers import CHECKING, SELECTED, Change, Server, ServerTable, State, Trigger
+from upwash.core.knowledge.servers import CHECKING, Server, ServerTable, State, Trigger
 from upwash.core.operation import Operation
 from upwash.core.planning.mission_model import MissionBeliefs, MissionModel
 from upwash.core.policies.policy import Choice, Decision, Lightened, Local, Policy, Remote
 from upwash.core.selection import events
 from upwash.core.selection.call_placement import CallPlacement
-from upwash.core.selection.commands import Effect, Move
-from upwash.core.selection.events import SelectionEvent
-from upwash.core.selection.lanes import Lanes
-from upwash.core.selection.mission_times import Lighter, Timetable
+from upwash.core.selection.commands import Effect
+from upwash.core.selection.events import RadioEvent, SelectionEvent
+from upwash.core.selection.mission_times import MissionTimes
+from upwash.core.selection.moment import Moment, Part
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import Recovery
 from upwash.core.selection.server_planning import ServerPlanning
 from upwash.core.selection.settings import SelectionSettings
 from upwash.eventlog import schema
-from upwash.eventlog.schema import Event, MeasuredRecord
+from upwash.eventlog.schema import MeasuredRecord
 
-_READY = frozenset({State.READY})
 _LEAST_QUEUE_S = 1.0  # of a server that did not begin a call, which is not asked again at once
 _MOST_TURNS_LOST = 2  # in a row, each at a call: a server that gives turns and no answers has failed
 
 
-class Selection:
-    """Decides for one drone which server is selected, and where its calls run."""
+class Selection(Part):
+    """Decides for one drone which server is selected, and where its calls run.
+
+    `placement` and `planning` answer for the time and place of the latest call of this class.
+    """
 
     def __init__(
         self,
@@ -66,24 +68,16 @@ class Selection:
         mission: MissionBeliefs | None = None,
     ) -> None:
         settings, beliefs = settings or SelectionSettings(), mission or MissionBeliefs()
-        self._settings = settings
-        index = AreaIndex(list(areas.values()))
-        self.estimates = estimates
-        self.policy = policy
-        self._recovery = recovery = Recovery(settings.probing) if settings.probing else None
-        self._table = table = ServerTable(areas, idle_s=settings.idle_s)
-        self.servers: Mapping[str, Server] = table.servers
-        self._radios = radios = Radios(settings, table, estimates, recovery)
-        self.lanes = Lanes()
+        table, index = ServerTable(areas, idle_s=settings.idle_s), AreaIndex(list(areas.values()))
+        moment = Moment(policy, settings, table, estimates, Recovery(settings.probing))
+        super().__init__(moment)
+        self.policy, self.estimates, self.lanes = policy, estimates, moment.lanes
         self.two_answers = settings.two_answers
-        self.placement = CallPlacement(policy, radios, estimates, recovery, self.lanes, settings.two_answers)
-        model = MissionModel(beliefs, areas, index)
-        self.planning = planning = ServerPlanning(
-            policy, settings, table, radios, estimates, recovery, self.lanes, mission=model
-        )
-        # A model of its own: it sees the whole mission, from the ground.
-        self._timetable = Timetable(planning, beliefs, MissionModel(beliefs, areas, index), settings)
-        self._lighter = Lighter(settings.lighter, planning) if settings.lighter else None
+        self.servers: Mapping[str, Server] = table.servers
+        self._radios = radios = Radios(moment)
+        self.placement = CallPlacement(moment, radios)
+        self.planning = planning = ServerPlanning(moment, radios, MissionModel(beliefs, areas, index))
+        self._times = MissionTimes(moment, planning, beliefs, MissionModel(beliefs, areas, index))
         self._ended = False
         self._comes_down = False
         self._probed_at: dict[str, MeasuredPlace] = {}  # where the server was last probed in vain
@@ -92,16 +86,6 @@ class Selection:
     def current(self) -> Server | None:
         """The server in use, if any is selected."""
         return self._radios.in_use
-
-    @property
-    def in_range(self) -> Sequence[Server]:
-        """The servers in range at the last position."""
-        return self._table.in_range
-
-    @property
-    def overtakes(self) -> bool:
-        """Whether calls that run on the drone may be sent to a server too."""
-        return self._recovery is not None
 
     @property
     def _unneeded(self) -> str:
@@ -113,52 +97,34 @@ class Selection:
 
     def is_awaited(self, check: int) -> bool:
         """Whether a call may wait for that check; False once the server has refused a slot."""
-        server = self._radios.selected_by(check, CHECKING)
-        return server is not None and not server.refused
+        server = self._radios.server_of(check)
+        return server is not None and server.state in CHECKING and not server.refused
+
+    def locate(self, position: Position, now_s: float) -> None:
+        """Note where the drone is now."""
+        self._moment.locate(position, now_s)
 
     def handle(self, event: SelectionEvent, *, now_s: float, position: Position) -> list[Effect]:
         """Take in an event, with the drone at the position; return commands and events of the log in their order."""
-        table, radios, planning = self._table, self._radios, self.planning
+        moment, radios, planning = self._moment, self._radios, self.planning
+        moment.locate(position, now_s)
         if isinstance(event, events.MissionBegun):
             planning.mission.begun(event.pace)
-            foreseen = self._timetable.begin(event.vehicle, event.pace, now_s=now_s, position=position)
-            if self._lighter is not None:
-                self._lighter.begun_s, self._lighter.home_s = now_s, self._timetable.after_s
-            return [foreseen] if foreseen else []
-        self.locate(position, now_s)
-        effects = self._take_in(event, now_s, position)
-        effects += radios.end_probes(
-            [server for server in radios.probed if self._unneeded or not server.in_range]
-        )
-        effects += table.expire(now_s, probed=radios.probed)
-        if not effects:  # else the policy decides anyway
-            planning.forget_slow_calls(now_s)
-        if effects or planning.is_due(now_s):
-            effects += self._select(now_s, position)
-            effects += radios.start()
-        effects += radios.end_probes(
-            [server for server in radios.probed if server.state is not State.BLACKLISTED]
-        )
+            self._times.begin(event.vehicle, event.pace)
+            return moment.effects
+        self._take_in(event)
+        radios.end_probes(server for server in radios.probed if self._unneeded or not server.in_range)
+        for server, trigger in self._table.expired(now_s, probed=radios.probed):
+            moment.step(server, trigger)
+        if not moment.effects:  # else the policy decides anyway
+            planning.forget_slow_calls()
+        if moment.effects or planning.is_due:
+            self._select()
+            radios.start()
+        radios.end_probes(server for server in radios.probed if server.state is not State.BLACKLISTED)
         if not self._unneeded:
-            effects += radios.probe(now_s)
-        return self._told(effects, position)
-
-    def _told(self, effects: Sequence[Move], position: Position) -> list[Effect]:
-        """The effects, with each change as the log has it: with the mean delays that are expected at this moment."""
-        return [self._step(effect, position) if isinstance(effect, Change) else effect for effect in effects]
-
-    def _step(self, change: Change, position: Position) -> Event:
-        estimates = self.estimates
-        return schema.STEPS[change.event](
-            server=change.server,
-            before=change.before,
-            after=change.after,
-            why=change.why,
-            check=change.check,
-            local_mean_call_s=estimates.mean_call_s(),
-            mean_call_s={server.name: estimates.mean_call_s(server.name) for server in self.in_range},
-            position=position,
-        )
+            radios.probe()
+        return moment.effects
 
     def next_look_s(self, *, now_s: float) -> float:
         """The time before which a `Tick` changes nothing, unless an event or a crossed border comes first."""
@@ -181,29 +147,27 @@ class Selection:
         """
         self.locate(position, now_s)
         if self._comes_down:
-            self._comes_down, self.planning.changed = False, True
+            self._comes_down, self._moment.changed = False, True
         lightened = None
         if not self.estimates.needs_server(operation):  # else it was made before
             self.planning.mission.call_begun(operation, now_s=now_s)
-            if self._lighter is not None:
-                lightened = self._lighter.judge(operation, now_s=now_s, position=position)
+            lightened = self._times.judge(operation)
         operation = lightened.operation if lightened else operation
-        decision, effects = self.placement.decide(
-            operation, now_s, on_drone=on_drone, drone_is_busy=drone_is_busy
-        )
-        self.planning.decided(decision, operation, now_s)
+        decision = self.placement.decide(operation, on_drone=on_drone, drone_is_busy=drone_is_busy)
+        self.planning.decided(decision, operation)
         if lightened is not None:
             decision = replace(decision, inputs=structs.replace(decision.inputs, lightened=lightened))
-        return decision, self._told(effects, position)
+        return decision, self._moment.effects
 
     def fall_back(self, operation: Operation, *, now_s: float, position: Position) -> Lightened | None:
         """The lighter operation of a call that the drone computes after its server failed; None: as asked."""
-        if self._lighter is None:
+        if self._settings.lighter is None:
             return None
+        self.locate(position, now_s)
         self.planning.mission.call_ends(now_s)
-        lightened = self._lighter.judge(operation, now_s=now_s, position=position, on_drone=True)
+        lightened = self._times.judge(operation, on_drone=True)
         if lightened is not None:
-            self.planning.decided(Local("no usable answer"), lightened.operation, now_s)
+            self.planning.decided(Local("no usable answer"), lightened.operation)
         return lightened
 
     def decide_after_wait(
@@ -211,9 +175,9 @@ class Selection:
     ) -> tuple[Decision, list[Effect]]:
         """Decide where a call runs after its wait for that check; never another Wait."""
         self.locate(position, now_s)
-        decision, effects = self.placement.decide_after_wait(operation, check, now_s)
-        self.planning.decided(decision, operation, now_s)
-        return decision, self._told(effects, position)
+        decision = self.placement.decide_after_wait(operation, check)
+        self.planning.decided(decision, operation)
+        return decision, self._moment.effects
 
     def overtake(
         self, operation: Operation, *, began_s: float, now_s: float, position: Position
@@ -223,243 +187,204 @@ class Selection:
         The second value is the time to ask again if no event comes before.
         """
         self.locate(position, now_s)
-        decision, again_s = self.placement.overtake(operation, began_s, now_s)
+        decision, again_s = self.placement.overtake(operation, began_s)
         if decision is not None:
             self.planning.under_way = decision
         return decision, again_s
 
-    def locate(self, position: Position, now_s: float) -> None:
-        """Note where the drone is now."""
-        if self._table.locate(position, now_s) | self.estimates.locate(position):
-            self.planning.changed = True
-
     # --- what arrives ---------------------------------------------------------------------------------------
 
-    def _take_in(self, event: SelectionEvent, now_s: float, position: Position) -> list[Move]:  # noqa: PLR0912, PLR0915
-        """Learn from the event; return its own effects. The policy decides afterwards."""
+    def _take_in(self, event: SelectionEvent) -> None:  # noqa: PLR0912, PLR0915
+        """Learn from the event. The policy decides afterwards."""
+        moment, planning = self._moment, self.planning
         match event:
-            # What the radios report concerns the mission only once a server changes its state.
             case events.Tick():  # first: by far the most frequent
-                return []
-            case events.CheckAnswered(check):
-                return self._asked(check, position, answered=True) + self._check_answered(event, now_s)
-            case events.ServicesStarted(check):
-                server = self._radios.selected_by(check, CHECKING)
-                return [self._ready(server, Trigger.STARTED, now_s)] if server else []
-            case events.SlotRefused(check, waiting):
-                return self._slot_refused(check, waiting, now_s)
-            case events.LeaseRenewed(check, waiting):
-                server = self._radios.selected_by(check, _READY)
-                if server is None:
-                    return []
-                server.contended_s = now_s if waiting else -math.inf
-            case events.SlotTaken():
-                return self._turn_over(event, now_s)
-            case events.ServerUnusable(check, why, unreached, pause_s):
-                asked = self._asked(check, position, answered=False) if unreached else []
-                return asked + self._server_failed(
-                    check, CHECKING, Trigger.CHECK_FAILED, why, now_s, pause_s=pause_s
-                )
-            case events.NetworkGone(check, why):
-                asked = self._asked(check, position, answered=False)
-                return asked + self._server_failed(check, SELECTED, Trigger.NETWORK_LOST, why, now_s)
-            case events.ProbeAnswered() | events.ProbePaused():
-                return self._probe_answered(event, now_s)
-            case events.ProbeUnanswered(check):
-                return self._probed_in_vain(check, position)
+                return
+            case RadioEvent():
+                self._hear(event)
+                return
             case events.PeerPrepared(name, by):
-                return self._prepared(self.servers[name], by, now_s)
+                server = self.servers[name]
+                if server.state in (State.AVL, State.AVL_R):
+                    self.estimates.services_started(name)
+                    moment.step(server, Trigger.PREPARED, f"by {by}")
+                    self._table.meet()
+                return
             case events.LegBegun() | events.LegEnded() | events.TargetUnknown():
-                self.planning.mission_goes_on(event, position, now_s)
-                return []
+                planning.mission_goes_on(event)
+                return
             case events.DescentBegun():
-                self.planning.mission.lost()
+                planning.mission.lost()
                 self._comes_down = True
             case events.NoMoreCalls():
                 self._ended = True
             case events.CallWaits() | events.CallOver():
-                self.planning.waits(event, now_s)
+                planning.waits(event)
             case events.LocalCallEnded(operation, delay_s, asked):
                 self.estimates.observe_local(operation, delay_s, asked=asked)
-                self.planning.answered(now_s)
+                planning.answered()
             case events.PartFailed(service):
                 self.estimates.part_failed(service)
             case events.RemoteCallEnded(name, operation, delay_s, late, less, queued_s, queue_s):
                 self.lanes.waited(name, queued_s)
                 if self.lanes.has_line:  # else the next call comes much later, and has the usual wait too
-                    self.lanes.queue(name, queue_s, now_s)
+                    self.lanes.queue(name, queue_s, moment.now_s)
                     delay_s -= queued_s
-                self._learn_remote(name, operation, delay_s, now_s, late=late, less=less)
-                if not late and not self.estimates.needs_server(operation):
-                    self.planning.answered(now_s)
-                self.planning.changed = True
-                return [] if late else self._radios.prefer(self.servers[name], "it answered first")
+                self._learn_remote(name, operation, delay_s, late=late, less=less)
+                if not late:
+                    if not self.estimates.needs_server(operation):
+                        planning.answered()
+                    self._radios.prefer(self.servers[name], "it answered first")
             case events.RemoteCallCut(name, operation, waited_s, less):
-                self.estimates.observe_remote_cut(name, operation, waited_s, now_s=now_s, less=less)
+                self.estimates.observe_remote_cut(name, operation, waited_s, now_s=moment.now_s, less=less)
             case events.RemoteCallQueued(name, why, waited_s, queue_s, late):
-                self.lanes.queue(name, max(queue_s, _LEAST_QUEUE_S), now_s)
+                self.lanes.queue(name, max(queue_s, _LEAST_QUEUE_S), moment.now_s)
                 if self.lanes.has_line:
                     self.lanes.waited(name, waited_s + queue_s)
-                if self._recovery is not None:
-                    self._recovery.trial_over(name)
+                self._recovery.trial_over(name)
                 if not late:
-                    self.planning.under_way = Local(why)
+                    planning.under_way = Local(why)
             case events.RemoteCallFailed(name, check, why, late):
-                self.planning.changed = True
                 if not late:
-                    self.planning.under_way = Local(why)
-                return self._call_failed(name, check, why, now_s)
+                    planning.under_way = Local(why)
+                self._call_failed(name, check, why)
             case events.RemoteCallRaised(_, why):
-                self.planning.under_way = Local(why)
+                planning.under_way = Local(why)
             case events.RemoteFaultTested(name, check, operation, delay_s, why, confirmed, less):
-                self.planning.changed = True
-                if not confirmed:
-                    return self._call_failed(name, check, why, now_s)
-                self._learn_remote(name, operation, delay_s, now_s, late=True, less=less)
+                if confirmed:
+                    self._learn_remote(name, operation, delay_s, late=True, less=less)
+                else:
+                    self._call_failed(name, check, why)
             case events.Reached():
-                self.planning.changed = True
-                return self._reached(event)
-        self.planning.changed = True
-        return []
+                self._reached(event)
+        moment.changed = True
 
-    def _check_answered(self, answer: events.CheckAnswered, now_s: float) -> list[Move]:
-        server = self._radios.selected_by(answer.check, CHECKING)
-        if server is None:
-            return []
-        server.peers = frozenset(answer.peers) & self.servers.keys()
-        server.full_s, server.contended_s = -math.inf, now_s if answer.waiting else -math.inf
-        self.planning.changed = True
-        if answer.running:
-            return [self._ready(server, Trigger.FOUND_RUNNING, now_s)]
-        server.found_stopped = True
-        return [server.apply(Trigger.FOUND_STOPPED, now_s=now_s)] if server.state is State.CHECK_R else []
-
-    def _slot_refused(self, check: int, waiting: int, now_s: float) -> list[Move]:
-        server = self._radios.selected_by(check, CHECKING)
-        if server is None:
-            return []
-        is_news, server.refused = not server.refused, True
-        server.full_s = server.contended_s = now_s
-        return [schema.NoSlot(server=server.name, check=check, waiting=waiting)] if is_news else []
-
-    def _turn_over(self, event: events.SlotTaken, now_s: float) -> list[Move]:
-        server = self._radios.selected_by(event.check, _READY)
+    def _hear(self, event: RadioEvent) -> None:
+        """Take in what is reported of a server; it concerns the mission only once the server changes its state."""
+        moment, server = self._moment, self._radios.server_of(event.check)
         if server is None:  # it was left since
-            return []
+            return
+        if server in self._radios.probed:
+            self._hear_of_probe(server, event)
+            return
+        is_checked, is_ready = server.state in CHECKING, server.state is State.READY
+        match event:
+            case events.CheckAnswered():
+                self._check_answered(server, event)
+            case events.ServicesStarted() if is_checked:
+                self._ready(server, Trigger.STARTED)
+            case events.SlotRefused(check, waiting) if is_checked:
+                server.full_s = server.contended_s = moment.now_s
+                if not server.refused:
+                    server.refused = True
+                    moment.do(schema.NoSlot(server=server.name, check=check, waiting=waiting))
+            case events.LeaseRenewed(_, waiting) if is_ready:
+                server.contended_s = moment.now_s if waiting else -math.inf
+                moment.changed = True
+            case events.SlotTaken() if is_ready:
+                self._turn_over(server, event)
+            case events.ServerUnusable(_, why, unreached, pause_s):
+                if unreached:
+                    self._asked(server, answered=False)
+                if is_checked:
+                    self._server_failed(server, Trigger.CHECK_FAILED, why, pause_s)
+            case events.NetworkGone(_, why):
+                self._asked(server, answered=False)
+                self._server_failed(server, Trigger.NETWORK_LOST, why)
+
+    def _hear_of_probe(self, server: Server, event: RadioEvent) -> None:
+        match event:
+            case events.ProbeAnswered(_, running):
+                trigger = Trigger.PROBED_RUNNING if running else Trigger.PROBED
+                self._moment.step(server, trigger, "it gives a sign of life")
+            case events.ProbeUnanswered():
+                self._probed_in_vain(server)
+            case events.ServerUnusable(_, why, _, pause_s):
+                self._radios.pause(server, pause_s, why)
+
+    def _check_answered(self, server: Server, answer: events.CheckAnswered) -> None:
+        self._asked(server, answered=True)
+        if server.state not in CHECKING:
+            return
+        server.peers = frozenset(answer.peers) & self.servers.keys()
+        server.full_s, server.contended_s = -math.inf, self._now_s if answer.waiting else -math.inf
+        self._moment.changed = True
+        if answer.running:
+            self._ready(server, Trigger.FOUND_RUNNING)
+            return
+        server.found_stopped = True
+        if server.state is State.CHECK_R:
+            self._moment.step(server, Trigger.FOUND_STOPPED)
+
+    def _turn_over(self, server: Server, event: events.SlotTaken) -> None:
         if event.in_call:
             if self.planning.under_way is not None:
                 self.planning.under_way = Local(event.why)
-            if self._recovery is not None:
-                self._recovery.trial_over(server.name)
+            self._recovery.trial_over(server.name)
             server.turns_lost += 1
         if not server.in_range:
-            return self._radios.leave(server, "out of range", now_s)
-        if server.turns_lost > _MOST_TURNS_LOST:
-            return self._call_failed(server.name, event.check, event.why, now_s)
-        return self._radios.ask_again(server, event.why, now_s)
+            self._radios.leave(server, "out of range")
+        elif server.turns_lost > _MOST_TURNS_LOST:
+            self._call_failed(server.name, event.check, event.why)
+        else:
+            self._radios.ask_again(server, event.why)
 
-    def _probe_answered(self, answer: events.ProbeAnswered | events.ProbePaused, now_s: float) -> list[Move]:
-        server = self._radios.probed_by(answer.check)
-        if server is None:
-            return []
-        if isinstance(answer, events.ProbePaused):
-            return [
-                _left_out(server, answer.pause_s, answer.why),
-                *self._radios.leave_out(server, answer.pause_s, now_s),
-            ]
-        trigger = Trigger.PROBED_RUNNING if answer.running else Trigger.PROBED
-        return [server.apply(trigger, now_s=now_s, why="it gives a sign of life")]
-
-    def _ready(self, server: Server, trigger: Trigger, now_s: float) -> Change:
-        change = server.apply(trigger, now_s=now_s)
-        if server.start_requested:
+    def _ready(self, server: Server, trigger: Trigger) -> None:
+        self._moment.step(server, trigger)
+        started = server.start_requested
+        if started:
             self.estimates.services_started(server.name)
         # An announced start, a check without a join and a wait for a slot teach nothing.
-        announced = server.start_requested and self.planning.was_announced(server)
+        since_s = server.checked_since_s
+        announced = started and self.planning.prewarm.has_announced(server.name, at_s=since_s)
         if not announced and not server.joined_before and not server.refused:
-            self.estimates.observe_check(
-                server.name, now_s - server.checked_since_s, started=server.start_requested
-            )
-        return change
+            self.estimates.observe_check(server.name, self._now_s - since_s, started=started)
 
-    def _prepared(self, server: Server, by: str, now_s: float) -> list[Move]:
-        if server.state not in (State.AVL, State.AVL_R):
-            return []
-        self.estimates.services_started(server.name)
-        change = server.apply(Trigger.PREPARED, now_s=now_s, why=f"by {by}")
-        self._table.meet()
-        return [change]
+    def _server_failed(self, server: Server, trigger: Trigger, why: str, pause_s: float = 0.0) -> None:
+        if server.in_range:
+            self._radios.fail(server, trigger, why, pause_s=pause_s)
+        else:  # the server did nothing wrong
+            self._radios.leave(server, "out of range")
 
-    def _server_failed(
-        self,
-        check: int,
-        states: frozenset[State],
-        trigger: Trigger,
-        why: str,
-        now_s: float,
-        *,
-        pause_s: float = 0.0,
-    ) -> list[Move]:
-        server = self._radios.selected_by(check, states)
-        if server is None:
-            return []
-        if not server.in_range:  # the server did nothing wrong
-            return self._radios.leave(server, "out of range", now_s)
-        paused = [_left_out(server, pause_s, why)] if pause_s else []
-        return paused + self._radios.fail(
-            server, trigger, why, now_s, operations=self.estimates.operations, pause_s=pause_s
-        )
-
-    def _call_failed(self, name: str, check: int, why: str, now_s: float) -> list[Move]:
-        if self._recovery is not None:
-            self._recovery.trial_over(name)
-        server = self._radios.selected_by(check, _READY)
-        if server is None or server.name != name:  # it was left since
-            return []
-        trigger = Trigger.CALL_FAILED_IN_RANGE if server.in_range else Trigger.CALL_FAILED_OUT_OF_RANGE
-        return self._radios.fail(server, trigger, why, now_s, operations=self.estimates.operations)
+    def _call_failed(self, name: str, check: int, why: str) -> None:
+        self._recovery.trial_over(name)
+        server = self._radios.ready(name, check)
+        if server is not None:
+            in_range = server.in_range
+            trigger = Trigger.CALL_FAILED_IN_RANGE if in_range else Trigger.CALL_FAILED_OUT_OF_RANGE
+            self._radios.fail(server, trigger, why)
 
     def _learn_remote(
-        self,
-        name: str,
-        operation: Operation,
-        delay_s: float,
-        now_s: float,
-        *,
-        late: bool,
-        less: bool = False,
+        self, name: str, operation: Operation, delay_s: float, *, late: bool, less: bool
     ) -> None:
-        if self._recovery is not None:
-            needs_server = self.estimates.needs_server(operation)
-            local_s = math.inf if needs_server else self.estimates.local_s(operation) or 0.0
-            self._recovery.answered(name, operation, delay_s, local_s=local_s, now_s=now_s)
+        needs_server, now_s = self.estimates.needs_server(operation), self._now_s
+        local_s = math.inf if needs_server else self.estimates.local_s(operation) or 0.0
+        self._recovery.answered(name, operation, delay_s, local_s=local_s, now_s=now_s)
         self.servers[name].turns_lost = 0
         self.estimates.observe_remote(name, operation, delay_s, now_s=now_s, late=late, less=less)
 
-    def _probed_in_vain(self, check: int, position: Position) -> list[Move]:
+    def _probed_in_vain(self, server: Server) -> None:
         """Record a probe without an answer, once for each place."""
-        server, coverage = self._radios.probed_by(check), self.estimates.coverage
-        if server is None or coverage is None or server.name not in coverage.servers:
-            return []
-        here = coverage.at(server.name, position)
-        if here is not None and here is self._probed_at.get(server.name):
-            return []
-        place = coverage.asked(server.name, position, answered=False)
-        self._probed_at[server.name] = place
-        self.planning.changed = True
-        return [_measured(server.name, place)]
+        coverage = self.estimates.coverage
+        if coverage is None or server.name not in coverage.servers:
+            return
+        here = coverage.at(server.name, self._moment.here)
+        if here is None or here is not self._probed_at.get(server.name):
+            place = coverage.asked(server.name, self._moment.here, answered=False)
+            self._probed_at[server.name] = place
+            self._moment.changed = True
+            self._measured(server.name, place)
 
-    def _asked(self, check: int, position: Position, *, answered: bool) -> list[Move]:
-        server, coverage = self._radios.selected_by(check), self.estimates.coverage
-        if server is None or coverage is None or server.name not in coverage.servers:
-            return []
-        return [_measured(server.name, coverage.asked(server.name, position, answered=answered))]
+    def _asked(self, server: Server, *, answered: bool) -> None:
+        coverage = self.estimates.coverage
+        if coverage is not None and server.name in coverage.servers:
+            self._measured(server.name, coverage.asked(server.name, self._moment.here, answered=answered))
 
-    def _reached(self, event: events.Reached) -> list[Move]:
+    def _reached(self, event: events.Reached) -> None:
         """Record the delay of the call at its place; a failed call counts the drone's own computing too."""
         coverage = self.estimates.coverage
         if coverage is None:
-            return []
+            return
         place = coverage.asked(event.server, event.position, answered=event.answered)
         came_to_s = event.delay_s
         if event.answered:
@@ -469,50 +394,44 @@ class Selection:
         if event.less:
             came_to_s = self.estimates.as_whole_s(event.server, event.operation, came_to_s)
         place.note(event.operation, came_to_s)
-        return [_measured(event.server, place)]
+        self._measured(event.server, place)
+
+    def _measured(self, server: str, place: MeasuredPlace) -> None:
+        self._moment.do(schema.PlaceMeasured(server=server, place=MeasuredRecord.of(place)))
 
     # --- which server now? ----------------------------------------------------------------------------------
 
-    def _select(self, now_s: float, position: Position) -> list[Move]:
+    def _select(self) -> None:
         radios, planning = self._radios, self.planning
-        planning.changed, radios.put_off_until_s = False, math.inf
-        choice = Choice(None, self._unneeded) if self._unneeded else planning.choose(now_s, position)
-        effects: list[Move] = []
+        self._moment.changed, radios.put_off_until_s = False, math.inf
+        choice = Choice(None, self._unneeded) if self._unneeded else planning.choose()
         for server in [server for server in radios.selected if not server.in_range]:
-            effects += radios.leave(server, "out of range", now_s)
+            radios.leave(server, "out of range")
         if choice.server is None:
             for server in list(radios.selected):
-                effects += radios.leave(server, choice.why, now_s)
-            return effects + planning.announce(choice.coming, now_s)
-        chosen = self.servers[choice.server]
-        if self._settings.with_second:
-            effects += radios.prefer(chosen, choice.why)
-        if chosen is not radios.in_use:
-            keep = self._is_worth_keeping(radios.in_use, now_s)
-            effects += radios.use(chosen, choice.why, now_s, keep=keep)
-        elif choice.coming is not None and self.servers[choice.coming.server].in_range:
-            effects += radios.prepare(self.servers[choice.coming.server], "comes next", now_s)
-        elif (
-            self._settings.with_second
-            and len(radios.selected) == 1
-            and (beside := planning.beside(chosen, now_s)) is not None
-        ):
-            effects += radios.prepare(beside, f"for calls that {chosen.name} answers late", now_s)
-        effects += planning.announce(choice.coming, now_s)
-        return effects
+                radios.leave(server, choice.why)
+        else:
+            self._use(self.servers[choice.server], choice)
+        planning.prewarm.announce(choice.coming)
 
-    def _is_worth_keeping(self, server: Server | None, now_s: float) -> bool:
+    def _use(self, chosen: Server, choice: Choice) -> None:
+        """Use the chosen server, and prepare another where a radio is free for it."""
+        radios, with_second = self._radios, self._settings.with_second
+        if with_second:
+            radios.prefer(chosen, choice.why)
+        if chosen is not radios.in_use:
+            radios.use(chosen, choice.why, keep=self._is_worth_keeping(radios.in_use))
+        elif choice.coming is not None and self.servers[choice.coming.server].in_range:
+            radios.prepare(self.servers[choice.coming.server], "comes next")
+        elif with_second and len(radios.selected) == 1:
+            beside = self.planning.beside(chosen)
+            if beside is not None:
+                radios.prepare(beside, f"for calls that {chosen.name} answers late")
+
+    def _is_worth_keeping(self, server: Server | None) -> bool:
         """Whether the server in use still saves time, so that it serves until the next one is READY."""
         return (
             server is not None
             and self.estimates.mean_call_s(server.name) < self.estimates.mean_call_s()
-            and self.planning.is_worth_a_slot(server, now_s)
+            and self.planning.is_worth_a_slot(server)
         )
-
-
-def _left_out(server: Server, pause_s: float, why: str) -> Event:
-    return schema.LeftOut(server=server.name, check=server.check, pause_s=pause_s, why=why)
-
-
-def _measured(server: str, place: MeasuredPlace) -> Event:
-    return schema.PlaceMeasured(server=server, place=MeasuredRecord.of(place))

@@ -9,104 +9,83 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from statistics import fmean
-from typing import TypeGuard
 
-from upwash.core.geo import Position
-from upwash.core.knowledge.estimates import Estimates
-from upwash.core.knowledge.servers import FULL_S, SELECTED, Server, ServerTable, State
+from msgspec import structs
+
+from upwash.core.knowledge.servers import FULL_S, SELECTED, Server, State
 from upwash.core.operation import Operation
 from upwash.core.planning.answering import ServerBelief
 from upwash.core.planning.forecast import Forecast, make_forecast, rest_of_check_s
 from upwash.core.planning.legs import Leg, left_m
 from upwash.core.planning.mission_model import ExpectedCall, MissionModel
-from upwash.core.planning.schedule import ComingCall, Offer
+from upwash.core.planning.schedule import ComingCall
 from upwash.core.planning.stay_or_go import Outlook
-from upwash.core.policies.policy import (
-    Choice,
-    Coming,
-    Decision,
-    Local,
-    Option,
-    Policy,
-    Remote,
-    Situation,
-    Wait,
-)
+from upwash.core.policies.policy import Choice, Coming, Decision, Local, Option, Remote, Situation, Wait
 from upwash.core.selection.call_forecast import CallForecast, CallPlace
 from upwash.core.selection.commands import Prepare
 from upwash.core.selection.events import CallOver, CallWaits, LegBegun, LegEnded, TargetUnknown
-from upwash.core.selection.lanes import Lanes
+from upwash.core.selection.moment import Moment, Part
 from upwash.core.selection.radios import Radios
-from upwash.core.selection.recovery import REST_S, Recovery
-from upwash.core.selection.settings import SelectionSettings
+from upwash.core.selection.recovery import REST_S
 
 _EARLY_S = 10.0  # that a server is prepared before it has to be, as legs and calls take as long as they take
 _STILL_GAINS = 0.99  # of the time on the drone, at most, where another lane serves the drone's line anyway
 _HOLD_S = 15.0  # that its slot is held after the drone should be there
 
 
-class PrewarmNotifier:
-    """Remembers the announcements of the drone to servers, and when the next is due."""
+class PrewarmNotifier(Part):
+    """Announces the drone to the servers that it uses next, and knows when the next announcement is due."""
 
-    def __init__(self) -> None:
+    def __init__(self, moment: Moment, radios: Radios) -> None:
+        super().__init__(moment)
+        self._radios = radios
         self.due_s = math.inf  # the time of the next announcement
         self._held_until_s: dict[str, float] = {}
-
-    def is_due(self, now_s: float) -> bool:
-        """Whether the next announcement is due."""
-        return now_s >= self.due_s
 
     def has_announced(self, server: str, *, at_s: float) -> bool:
         """Whether the drone had been announced to the server, so that a slot was held at `at_s`."""
         return self._held_until_s.get(server, -math.inf) > at_s
 
-    def announce(
-        self, current: Server | None, coming: Coming | None, *, start_s: float, now_s: float
-    ) -> list[Prepare]:
-        """The announcement to make now, if any: by a READY server in use, unless a slot is held already."""
-        self.due_s = math.inf
+    def announce(self, coming: Coming | None) -> None:
+        """Announce the drone if it is time: by a READY server in use, unless a slot is held already."""
+        self.due_s, current, now_s = math.inf, self._radios.in_use, self._now_s
         if coming is None or current is None or current.state is not State.READY:
-            return []
-        if coming.server not in current.peers:
-            return []
-        due_s = max(
-            now_s + coming.in_s - start_s - _EARLY_S, self._held_until_s.get(coming.server, -math.inf)
-        )
+            return
+        name = coming.server
+        if name not in current.peers or self._table.servers[name] in self._radios.selected:
+            return  # the drone asks a selected server itself
+        due_s = now_s + coming.in_s - self._estimates.start_s(name) - _EARLY_S
+        due_s = max(due_s, self._held_until_s.get(name, -math.inf))
         if due_s > now_s:
             self.due_s = due_s
-            return []
-        self._held_until_s[coming.server] = now_s + coming.in_s + _HOLD_S
-        return [Prepare(current.name, current.check, coming.server, coming.in_s, _HOLD_S)]
+            return
+        self._held_until_s[name] = now_s + coming.in_s + _HOLD_S
+        self._moment.do(Prepare(current.name, current.check, name, coming.in_s, _HOLD_S))
 
 
-@dataclass(slots=True, eq=False)
-class ServerPlanning:
+class ServerPlanning(Part):
     """Asks the policy which server to use, for a mission that it follows over its legs and calls."""
 
-    _policy: Policy
-    _settings: SelectionSettings
-    _table: ServerTable
-    _radios: Radios
-    _estimates: Estimates
-    _recovery: Recovery | None
-    _lanes: Lanes
-    mission: MissionModel
-    under_way: Decision | None = None  # on the call whose answer is not there yet
-    changed: bool = True  # since the policy last chose
-    _operation: Operation | None = None  # of the call under way
-    waiting: Counter[Operation] = field(default_factory=Counter)  # calls that only servers compute
-    _prewarm: PrewarmNotifier = field(default_factory=PrewarmNotifier)
-    _short: frozenset[tuple[str, bool, bool]] = frozenset()  # of slots, as the policy was last shown
+    def __init__(self, moment: Moment, radios: Radios, mission: MissionModel) -> None:
+        super().__init__(moment)
+        self._radios = radios
+        self.mission = mission
+        self.under_way: Decision | None = None  # on the call whose answer is not there yet
+        self._operation: Operation | None = None  # of the call under way
+        self.waiting = Counter[Operation]()  # calls that only servers compute
+        self.prewarm = PrewarmNotifier(moment, radios)
+        self._short: frozenset[tuple[str, bool, bool]] = frozenset()  # of slots, as the policy was last shown
 
-    def decided(self, decision: Decision, operation: Operation, now_s: float) -> None:
+    def decided(self, decision: Decision, operation: Operation) -> None:
         """Note that the mission has made a call, and where it runs."""
-        if self._estimates.needs_server(operation):  # the mission does not wait for it, or not for long
-            if isinstance(decision, Remote):
-                self.under_way, self._operation = decision, operation
+        needs_server = self._estimates.needs_server(operation)
+        if needs_server and not isinstance(decision, Remote):
             return
         self.under_way, self._operation = decision, operation
+        if needs_server:  # the mission does not wait for it, or not for long
+            return
         match decision:
             case Local():
                 expected_s = self._estimates.local_s(operation)
@@ -117,59 +96,62 @@ class ServerPlanning:
         first = self._settings.two_answers.get(operation)
         if first is not None and (first_s := self._estimates.local_s(first.first)) is not None:
             expected_s = first_s if expected_s is None else min(expected_s, first_s)
-        self.mission.call_ends(now_s + (expected_s or 0.0))
+        self.mission.call_ends(self._now_s + (expected_s or 0.0))
 
-    def waits(self, event: CallWaits | CallOver, now_s: float) -> None:
+    def waits(self, event: CallWaits | CallOver) -> None:
         """Note that a call that only servers compute waits for one, waits again, or is over."""
-        match event:
-            case CallWaits(operation, again=False):
-                self.waiting[operation] += 1
-                self._estimates.call_waits(operation)
-                self.mission.call_begun(operation, now_s=now_s)
-                return
-            case CallOver(operation):
-                self.waiting -= Counter({operation: 1})
-        if self._operation == event.operation:
+        operation = event.operation
+        if isinstance(event, CallWaits) and not event.again:
+            self.waiting[operation] += 1
+            self._estimates.call_waits(operation)
+            self.mission.call_begun(operation, now_s=self._now_s)
+            return
+        if isinstance(event, CallOver):
+            self.waiting -= Counter({operation: 1})
+        if self._operation == operation:
             self.under_way = None
 
-    def reach_s(self, operation: Operation, now_s: float, position: Position) -> float | None:
+    def reach_s(self, operation: Operation) -> float | None:
         """Seconds until a server in range that the policy uses answers a call; None without a server."""
         server = self._radios.in_use
         if server is None or not server.in_range:
-            name = self.choose(now_s, position).server
+            name = self.choose().server
             server = self._table.servers[name] if name is not None else None
         remote_s = self._estimates.remote_s(server.name, operation) if server is not None else None
-        if server is None or remote_s is None:
-            return None
-        if server in self._radios.selected:
-            return rest_of_check_s(server, self._estimates, now_s) + remote_s
-        return self._estimates.check_s(server.name, running=server.state is State.AVL_R) + remote_s
+        return None if server is None or remote_s is None else self._ready_in_s(server) + remote_s
 
-    def answered(self, now_s: float) -> None:
+    def _ready_in_s(self, server: Server) -> float:
+        """The expected seconds until the server is READY, from now on."""
+        if server in self._radios.selected:
+            return rest_of_check_s(server, self._estimates, self._now_s)
+        return self._estimates.check_s(server.name, running=server.state is State.AVL_R)
+
+    def answered(self) -> None:
         """Note that the mission has the answer to its call."""
-        self.mission.call_ends(now_s)
+        self.mission.call_ends(self._now_s)
         self.under_way = None
 
-    def mission_goes_on(
-        self, event: LegBegun | LegEnded | TargetUnknown, position: Position, now_s: float
-    ) -> None:
+    def mission_goes_on(self, event: LegBegun | LegEnded | TargetUnknown) -> None:
         """Follow the mission; only a policy with a horizon sees it."""
+        moment = self._moment
         match event:
             case LegBegun(target, ground_speed_m_s, back, via):
-                self.mission.leg_begun(position, target, ground_speed_m_s, now_s=now_s, back=back, via=via)
+                self.mission.leg_begun(
+                    moment.here, target, ground_speed_m_s, now_s=moment.now_s, back=back, via=via
+                )
             case LegEnded():
-                self.mission.arrived(now_s=now_s)
+                self.mission.arrived(now_s=moment.now_s)
             case TargetUnknown():
                 self.mission.lost()
-        self.changed = self.changed or self._policy.horizon > 0
+        moment.changed = moment.changed or self._policy.horizon > 0
 
-    def outlook(self, now_s: float) -> Outlook | None:
+    def outlook(self) -> Outlook | None:
         """What flying on before the open call is over would save and cost; None if nothing is known."""
         way = self.mission.next_leg()
         if way is None or self.under_way is None or self._operation is None:
             return None
         assert isinstance(way.leg, Leg)  # noqa: S101 - no row's: it begins at rest
-        stay_s = go_s = self.mission.open_s(now_s)
+        stay_s = go_s = self.mission.open_s(self._now_s)
         if not isinstance(self.under_way, Local):
             area = self._table.servers[self.under_way.server].area
             leaves_m = left_m(way.start, way.end, area)
@@ -178,97 +160,82 @@ class ServerPlanning:
                 go_s = leaves_s + (self._estimates.local_s(self._operation) or 0.0)
         return Outlook(way.leg, self.mission.photo_s, stay_s, go_s)
 
-    def forget_slow_calls(self, now_s: float) -> None:
+    def forget_slow_calls(self) -> None:
         """Give slow servers in range another chance when it is due."""
         for server in self._table.in_range:
-            if self._estimates.forget_slow_calls(server.name, now_s=now_s, retry_s=self._slow_for_s):
-                self.changed = True
+            if self._estimates.forget_slow_calls(server.name, now_s=self._now_s, retry_s=self._slow_for_s):
+                self._moment.changed = True
 
     @property
     def _slow_for_s(self) -> float:
-        if self._recovery is not None and self._radios.in_use is None:
+        if self._recovery.probing is not None and self._radios.in_use is None:
             return min(self._settings.retry_s, REST_S)
         return self._settings.retry_s
 
     def next_look_s(self, now_s: float) -> float:
         """The time before which the policy need not decide again, unless an event comes first."""
-        if self.changed:
+        if self._moment.changed:
             return now_s
-        look_s = min(self._prewarm.due_s, self._radios.put_off_until_s)
+        look_s = min(self.prewarm.due_s, self._radios.put_off_until_s)
         for server in self._table.in_range:
             slow_until_s = self._estimates.next_forgetting_s(server.name, retry_s=self._slow_for_s)
             look_s = min(look_s, slow_until_s, server.asked_again_s(now_s))
         return look_s
 
-    def is_due(self, now_s: float) -> bool:
+    @property
+    def is_due(self) -> bool:
         """Whether the policy must decide now."""
-        due = self._prewarm.is_due(now_s) or now_s >= self._radios.put_off_until_s
-        return self.changed or due or self._short_of_slots(now_s) != self._short
+        due_s = min(self.prewarm.due_s, self._radios.put_off_until_s)
+        return self._moment.changed or self._now_s >= due_s or self._short_of_slots() != self._short
 
-    def choose(self, now_s: float, position: Position) -> Choice:
+    def choose(self) -> Choice:
         """The policy's choice; a slow server in use is kept for trials if the policy chooses none."""
         current = self._radios.in_use
-        self._short = self._short_of_slots(now_s)
+        self._short = self._short_of_slots()
         choice = self._policy.choose(
             Situation(
-                self._options(now_s),
+                self._options(),
                 current.name if current else None,
                 self._estimates.mean_call_s(),
                 under_way=self.under_way,
-                forecast=self._forecast(now_s, position),
-                now_s=now_s,
-                position=position,
+                forecast=self._forecast() if self._policy.horizon else None,
+                now_s=self._now_s,
+                position=self._moment.here,
             )
         )
-        if choice.server is None and self._is_worth_trials(current, now_s):
-            return Choice(current.name, "slow lately, and no other is faster")
-        return choice
+        if choice.server is not None or current is None or not self._is_worth_trials(current):
+            return choice
+        return Choice(current.name, "slow lately, and no other is faster")
 
-    def beside(self, first: Server, now_s: float) -> Server | None:
+    def beside(self, first: Server) -> Server | None:
         """The fastest other server in range that has a slot; None without one."""
-        options = (
-            option for option in self._options(now_s) if option.server != first.name and not option.full
-        )
+        options = [option for option in self._options() if option.server != first.name and not option.full]
         fastest = min(options, key=lambda option: option.mean_call_s, default=None)
         return None if fastest is None else self._table.servers[fastest.server]
 
-    def announce(self, coming: Coming | None, now_s: float) -> list[Prepare]:
-        """The announcement of the drone to the coming server, once and in time; empty if none is due."""
-        if coming is not None and self._table.servers[coming.server] in self._radios.selected:
-            coming = None  # the drone asks it itself
-        start_s = self._estimates.start_s(coming.server) if coming else 0.0
-        return self._prewarm.announce(self._radios.in_use, coming, start_s=start_s, now_s=now_s)
-
-    def was_announced(self, server: Server) -> bool:
-        """Whether a peer announced the drone to this server before its last check began."""
-        return self._prewarm.has_announced(server.name, at_s=server.checked_since_s)
-
-    def made_now(self, operation: Operation, now_s: float) -> ExpectedCall:
+    def made_now(self, operation: Operation) -> ExpectedCall:
         """The call that the mission makes now, as an expected call."""
         in_range_s = {
-            server.name: now_s - server.in_range_since_s
+            server.name: self._now_s - server.in_range_since_s
             for server in self._table.in_range
             if server.in_range_since_s is not None
         }
         return ExpectedCall(operation, 0.0, in_range_s)
 
-    def placing(self, now_s: float) -> CallForecast:
+    def placing(self) -> CallForecast:
         """The forecast of where calls run from now on."""
         in_use = self._radios.in_use
         running = (State.AVL_R, *SELECTED)
-        here = CallPlace()
-        if in_use is not None:
-            here = CallPlace(in_use.name, rest_of_check_s(in_use, self._estimates, now_s))
         return CallForecast(
             self._policy,
             self._estimates,
-            here=here,
+            here=CallPlace() if in_use is None else CallPlace(in_use.name, self._ready_in_s(in_use)),
             running={server.name for server in self._table.servers.values() if server.state in running},
-            unusable_s=dict(self._banned(now_s)),
+            unusable_s=dict(self._banned()),
             first={asked: two.first for asked, two in self._settings.two_answers.items()},
         )
 
-    def believed(self, operations: Sequence[Operation], now_s: float) -> dict[str, ServerBelief]:
+    def believed(self, operations: Sequence[Operation]) -> dict[str, ServerBelief]:
         """The servers that may compute these operations, and the mean seconds of a call at each."""
         beliefs = {}
         for name, server in self._table.servers.items():
@@ -276,20 +243,16 @@ class ServerPlanning:
             known_s = [time_s for time_s in times_s if time_s is not None]
             if server.state is State.BLACKLISTED or not known_s or len(known_s) < len(times_s):
                 continue
-            if server in self._radios.selected:
-                check_s = rest_of_check_s(server, self._estimates, now_s)
-            else:
-                check_s = self._estimates.check_s(name, running=server.state is State.AVL_R)
+            check_s = self._ready_in_s(server)
             beliefs[name] = ServerBelief(server.area, fmean(known_s), check_s, check_s)
         return beliefs
 
-    def _options(self, now_s: float) -> list[Option]:
+    def _options(self) -> list[Option]:
+        now_s, mean_call_s = self._now_s, self._estimates.mean_call_s
         return [
             Option(
                 server.name,
-                self._with_wait_s(
-                    server.name, self._estimates.mean_call_s(server.name), self._estimates.mean_call_s()
-                ),
+                self._with_wait_s(server.name, mean_call_s(server.name), mean_call_s()),
                 server.in_range_since_s,
                 full=server.is_full(now_s),
                 state=server.state,
@@ -298,48 +261,41 @@ class ServerPlanning:
             for server in self._table.in_range
             if server.in_range_since_s is not None
             and server.state is not State.BLACKLISTED
-            and self.is_worth_a_slot(server, now_s)
+            and self.is_worth_a_slot(server)
         ]
 
-    def _short_of_slots(self, now_s: float) -> frozenset[tuple[str, bool, bool]]:
+    def _short_of_slots(self) -> frozenset[tuple[str, bool, bool]]:
+        now_s = self._now_s
         return frozenset(
             (server.name, server.is_full(now_s), server.is_contended(now_s))
             for server in self._table.in_range
             if server.is_full(now_s) or server.is_contended(now_s)
         )
 
-    def is_worth_a_slot(self, server: Server, now_s: float) -> bool:
+    def is_worth_a_slot(self, server: Server) -> bool:
         """Whether the drone may take a slot there: it gains enough, or nobody else waits for one."""
-        if not server.is_contended(now_s):
+        if not server.is_contended(self._now_s):
             return True
         local_s = self._estimates.mean_call_s()
         return local_s - self._estimates.mean_call_s(server.name) > self._settings.gain_slot * local_s
 
-    def _is_worth_trials(self, server: Server | None, now_s: float) -> TypeGuard[Server]:
-        """Whether the server in use deserves trial calls: it is READY, in range and in doubt."""
-        return (
-            self._recovery is not None
-            and server is not None
-            and server.in_range
-            and server.state is State.READY
-            and self._recovery.in_doubt(server.name)
-            and self.is_worth_a_slot(server, now_s)
-        )
+    def _is_worth_trials(self, server: Server) -> bool:
+        is_ready = server.in_range and server.state is State.READY
+        return is_ready and self._recovery.in_doubt(server.name) and self.is_worth_a_slot(server)
 
-    def _forecast(self, now_s: float, position: Position) -> Forecast | None:
-        if not self._policy.horizon:
-            return None
+    def _forecast(self) -> Forecast:
+        now_s, here = self._now_s, self._moment.here
         backlog = Counter(call.operation for call in self._lanes.line if not call.needs_server)
         near = {server.name: 0.0 for server in self._table.in_range}
         in_line = [ExpectedCall(operation, 0.0, near) for operation in backlog]
-        waiting = [self.made_now(operation, now_s) for operation in self.waiting]
+        waiting = [self.made_now(operation) for operation in self.waiting]
         forecast = make_forecast(
-            [*in_line, *waiting, *self.mission.coming(position, now_s=now_s, count=self._policy.horizon)],
+            [*in_line, *waiting, *self.mission.coming(here, now_s=now_s, count=self._policy.horizon)],
             self._table.servers,
             self._estimates,
             self._radios.selected,
             now_s=now_s,
-            banned_s=dict(self._banned(now_s)),
+            banned_s=dict(self._banned()),
             idle_s=self._settings.idle_s,
         )
         if self._lanes.has_line:
@@ -349,26 +305,25 @@ class ServerPlanning:
 
     def _with_waits(self, call: ComingCall) -> ComingCall:
         offers = [
-            Offer(
-                offer.server, self._with_wait_s(offer.server, offer.call_s, call.local_s), offer.head_start_s
-            )
+            structs.replace(offer, call_s=self._with_wait_s(offer.server, offer.call_s, call.local_s))
             for offer in call.offers
         ]
-        return ComingCall(call.local_s, call.gap_s, offers)
+        return structs.replace(call, offers=offers)
 
     def _with_wait_s(self, server: str, call_s: float, local_s: float) -> float:
         """The seconds of a call there with the usual wait for others; a server that gains still gains."""
         wait_s = self._lanes.usual_wait_s(server) if self._lanes.has_line else 0.0
         return call_s if wait_s == 0 or call_s >= local_s else min(call_s + wait_s, _STILL_GAINS * local_s)
 
-    def _banned(self, now_s: float) -> Iterator[tuple[str, float]]:
+    def _banned(self) -> Iterator[tuple[str, float]]:
+        now_s = self._now_s
         for server in self._table.blacklisted:
             left_s = server.since_s + server.left_alone_s - now_s
-            yield server.name, left_s if self._recovery is None else max(REST_S, left_s)
+            yield server.name, left_s if self._recovery.probing is None else max(REST_S, left_s)
         for server in self._table.in_range:
             if server.state is State.BLACKLISTED:
                 continue
-            if not self.is_worth_a_slot(server, now_s):
+            if not self.is_worth_a_slot(server):
                 yield server.name, math.inf
             elif server.is_full(now_s):
                 yield server.name, FULL_S
