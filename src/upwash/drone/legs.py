@@ -12,7 +12,7 @@ from upwash.core.geo import Position, Via, Waypoint, distance_m
 from upwash.core.selection.events import LegBegun, LegEnded, MissionBegun, SelectionEvent
 from upwash.drone.answers import AnswerAction, one_answered
 from upwash.drone.pending import Demand
-from upwash.drone.places import Place, ahead_m, index_of, is_far, is_missed, lies_on, nearest_on, position_of
+from upwash.drone.places import Place, ahead_m, index_of, lies_on, nearest_on, position_of
 from upwash.drone.site import Site
 from upwash.errors import AutopilotError
 from upwash.eventlog import schema
@@ -23,6 +23,8 @@ _SHORT_M = 1.0  # a leg without a spot to pass
 _LEAST_S = 0.005  # between two looks at the position: 4 cm at 8 m/s
 _FASTER = 1.25  # a vehicle may exceed the speed of its leg: a PX4 flew 4.4 m/s for 4
 _UNSURE_S = 0.1  # between two looks while the position is in doubt
+_LATE_M, _LATE_S = 1.0, 0.5  # a spot that was passed by more, at the speed of the row, is flown back to
+_NEAR_M = 4.0  # of a spot that counts: an arrival is promised within 5 m, and a report may be a metre off
 
 
 @dataclass(eq=False)
@@ -111,7 +113,7 @@ class Legs:
     async def until_answered(self, verb: Coroutine[Any, Any, None] | None, demand: Demand[Any]) -> bool:
         """Begin to fly, or fly on; return True on arrival, or False, still in flight, when an answer is there."""
         self._leg = self._leg if verb is None else begin(verb)
-        return await self._ends_before(demand.answered())
+        return await self._ends_before(one_answered([demand]))
 
     async def _ends_before(self, *waits: Coroutine[Any, Any, Any]) -> bool:
         """Return True at rest at the end of the leg, or False, still in flight, after the first of the waits."""
@@ -215,12 +217,14 @@ class Legs:
         A leg that is flown reaches its end. At rest only a spot where the vehicle surely is counts as reached.
         """
         here, is_sure = self.autopilot.position, self.autopilot.position_is_sure
-        if self.rests and (not is_sure or is_far(spot, here)):
+        is_far = distance_m(here, spot) > _NEAR_M  # altitude included
+        if self.rests and (not is_sure or is_far):
             return True
         if end in (spot, start) or not is_sure:
             return False
-        speed_m_s = self.ground_speed_m_s or self.default_m_s
-        return is_missed(spot, here, start=start, end=end, speed_m_s=speed_m_s)
+        beyond_m = -ahead_m(spot, here, start=start, end=end)
+        is_late = beyond_m > max(_LATE_M, _LATE_S * (self.ground_speed_m_s or self.default_m_s))
+        return is_late or (beyond_m >= 0 and is_far)
 
     async def stop(self) -> None:
         """Brake and end the leg, or fly it to its end if that is nearer."""

@@ -213,10 +213,6 @@ class Demand(Generic[T]):
         call = self.call
         return {call.task} if self._holds is not None else {call.task, call.hearing.first}
 
-    async def answered(self) -> None:
-        """Return when the question is due; for the loop."""
-        await asyncio.wait(self.news, return_when=asyncio.FIRST_COMPLETED)
-
     def note(self) -> None:
         """Log the answer's demand, before the drone flies back to its waypoint."""
         self.call.note(schema.Demanded(waypoint=self.call.waypoint, failed=self.call.failure))
