@@ -10,6 +10,8 @@ from upwash.core.geo import Position, Waypoint, distance_m, part_way
 Place = Waypoint | Position
 Allows = Callable[[Position, Position], bool]  # whether no fence forbids the straight way
 _BESIDE_M = 2.0  # by wind and GPS
+_LATE_M, _LATE_S = 1.0, 0.5  # a spot that was passed by more, at the speed of the row, is flown back to
+_NEAR_M = 4.0  # of a spot that counts: an arrival is promised within 5 m, and a report may be a metre off
 
 
 def position_of(place: Place) -> Position:
@@ -39,6 +41,18 @@ def ahead_m(spot: Position, here: Position, *, start: Position, end: Position) -
         + (end.north_m - start.north_m) * (spot.north_m - here.north_m)
         + (end.altitude_m - start.altitude_m) * (spot.altitude_m - here.altitude_m)
     ) / distance_m(start, end)
+
+
+def is_missed(spot: Position, here: Position, *, start: Position, end: Position, speed_m_s: float) -> bool:
+    """Whether a vehicle with this speed has passed a spot of a leg too far away, or is too far beyond it by now."""
+    beyond_m = -ahead_m(spot, here, start=start, end=end)
+    is_late = beyond_m > max(_LATE_M, _LATE_S * speed_m_s)
+    return is_late or (beyond_m >= 0 and is_far(spot, here))
+
+
+def is_far(spot: Position, here: Position) -> bool:
+    """Whether the spot is too far from here to count as reached, altitude included."""
+    return distance_m(here, spot) > _NEAR_M
 
 
 def nearest_on(start: Position, end: Position, here: Position) -> Position:

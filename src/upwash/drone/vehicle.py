@@ -17,7 +17,7 @@ from upwash.drone.site import require_altitude
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.schema import SEVERITIES
-from upwash.ports import ComingDown, VehicleLimits
+from upwash.ports import ComingDown
 from upwash.support.text import printable
 
 Severity = Literal["emergency", "alert", "critical", "error", "warning", "notice", "info", "debug"]
@@ -190,20 +190,7 @@ class Vehicle:
 
     async def _arm(self) -> None:
         await self._autopilot.ready()
-        limits = await self._autopilot.limits()
-        self._record_limits(limits)
-        stands, site = self._autopilot.position, self._legs.site
-        site.require_reachable(stands)
-        site.require_within(limits, stands)
-        for why in site.doubts(limits, stands):
-            self._journal.record(schema.SiteDoubt(why=why))
-        self._legs.limits = limits
-        self._journal.record(schema.Arming())
-        await self._autopilot.arm()
-        self._tell(MissionBegun(self._autopilot.energy, self._autopilot.pace))
-
-    def _record_limits(self, limits: VehicleLimits) -> None:
-        battery = self._autopilot.energy
+        limits, battery = await self._autopilot.limits(), self._autopilot.energy
         self._journal.record(
             schema.LimitsRead(
                 home=rounded(limits.home) if limits.home else None,
@@ -216,6 +203,15 @@ class Vehicle:
                 rally=[rounded(point.position) for point in limits.rally.points],
             )
         )
+        stands, site = self._autopilot.position, self._legs.site
+        site.require_reachable(stands)
+        site.require_within(limits, stands)
+        for why in site.doubts(limits, stands):
+            self._journal.record(schema.SiteDoubt(why=why))
+        self._legs.limits = limits
+        self._journal.record(schema.Arming())
+        await self._autopilot.arm()
+        self._tell(MissionBegun(self._autopilot.energy, self._autopilot.pace))
 
     async def _takeoff(self, altitude_m: float) -> None:
         require_altitude(self._legs.limits, altitude_m, step=f"takeoff to {altitude_m:g} m")
