@@ -90,7 +90,7 @@ class ObjectAct(AnswerAction[Any]):
         self.is_away = True
         self._open = 0  # answers of its calls
         self._is_done = False
-        self.place = self._found.position
+        self._locate()
         self.call.note(schema.Demanded(waypoint=self.waypoint, object=self._objects.record(claim)))
 
     @property
@@ -115,10 +115,10 @@ class ObjectAct(AnswerAction[Any]):
 
     def demands(self) -> bool:
         """Whether the object is wanted; its place is that of now."""
-        if not self.holds():
-            return False
-        self.place = self._found.position
-        return True
+        holds = self.holds()
+        if holds:
+            self._locate()
+        return holds
 
     def come_back(self, fly: Callable[[Place], object], here: Position, waited_s: float) -> None:
         """Fly to the object, and act there; leave the act out if a fence forbids the way."""
@@ -169,6 +169,9 @@ class ObjectAct(AnswerAction[Any]):
             yield
         finally:
             self._objects.acting = before
+
+    def _locate(self) -> None:
+        self.place = self._found.position
 
     def _note_if_over(self) -> None:
         if self._is_done and not self._open:
