@@ -138,8 +138,14 @@ PLAN = [Waypoint(number, Position(20.0 * number, 0.0)) for number in range(4)]
 def decides(*, spare_s: float | None = None, allowed: bool = True) -> bool:
     """Whether an act beside the plan's third waypoint is put off by a drone at the first."""
     answer: Any = Late(Position(40.0, 5.0), 0)
-    vehicle: Any = SimpleNamespace(position=PLAN[0].position, stopping_place=PLAN[0].position)
-    journal: Any = SimpleNamespace(record=lambda _: None)
+    here = PLAN[0].position
+    legs: Any = SimpleNamespace(
+        autopilot=SimpleNamespace(position=here, stopping_place=here),
+        journal=SimpleNamespace(record=lambda _: None),
+        site=SimpleNamespace(waypoints=PLAN),
+        position=here,
+        allows=lambda *_: allowed,
+    )
 
     def home_s(place: Position) -> float:
         return 10.0 + place.east_m / 4.0
@@ -147,17 +153,15 @@ def decides(*, spare_s: float | None = None, allowed: bool = True) -> bool:
     async def decided() -> bool:
         acts = Acts[Any](PLAN, ground_speed_m_s=4.0, pace=Pace(), photo_s=0.0, home_s=home_s)
         late = LateActs(
-            vehicle,
-            journal,
-            plan=PLAN,
-            acts=acts,
+            legs,
+            acts,
             when_to_act=cheapest,
             within_s=math.inf,
             home_s=home_s,
             spare_s=lambda: spare_s,
         )
         onwards = Onwards(PLAN[1], PLAN[1].position)
-        return await late.puts_off(answer, onwards, lambda *_: allowed)
+        return await late.puts_off(answer, onwards)
 
     return run_virtually(decided())
 

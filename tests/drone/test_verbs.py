@@ -58,10 +58,8 @@ class Field:
         journal: Any = SimpleNamespace(record=self.log.append)
         self.legs = Legs(this, journal, site=Site(**(facts | site)), tell=self.told.append, default_m_s=4.0)
         late = LateActs(
-            this,
-            journal,
-            plan=(),
-            acts=Acts((), ground_speed_m_s=4.0, pace=Pace(), photo_s=0.0, home_s=None),
+            self.legs,
+            Acts((), ground_speed_m_s=4.0, pace=Pace(), photo_s=0.0, home_s=None),
             when_to_act=cheapest,
             within_s=math.inf,
             home_s=lambda _: 0.0,
@@ -70,21 +68,12 @@ class Field:
         self.settling = Stops(
             legs=self.legs,
             thread=this,
-            journal=journal,
             late=late,
             rule=StayRule("stay"),
             objects=FlightObjects(),
             outlook=lambda: None,
         )
-        self.vehicle = Vehicle(
-            this,
-            this,
-            journal,
-            legs=self.legs,
-            settling=self.settling,
-            homecoming=Homecoming(this, journal),
-            tell=self.told.append,
-        )
+        self.vehicle = Vehicle(self.settling, Homecoming(this, journal))
 
     def require_turn(self) -> None:
         """It is always the mission's turn."""

@@ -55,11 +55,6 @@ class AnswerAction(Demand[T]):
         """Whether nothing is done about it for now."""
         return False
 
-    @property
-    def needs_server(self) -> bool:
-        """Whether only servers compute the call."""
-        return self.call.needs_server
-
     def away_m(self, here: Position) -> float:
         """How far its place is from here."""
         return 0.0 if self.place is None else distance_m(here, position_of(self.place))
@@ -121,7 +116,9 @@ class AnswerAction(Demand[T]):
 
     def learn(self) -> None:
         """Have the rule learn from the last answer, once."""
-        if self.needs_server or self.only_tells:  # it says little of the answers that the drone may wait for
+        if (
+            self.call.needs_server or self.only_tells
+        ):  # it says little of the answers that the drone may wait for
             return
         if self.call.is_over:
             self._learn(demanded=self.holds())
@@ -139,7 +136,7 @@ class AnswerAction(Demand[T]):
 
 
 async def one_answered(
-    answers: Iterable[AnswerAction[Any]], *, waits: bool = False, within_s: float | None = None
+    answers: Iterable[Demand[Any]], *, waits: bool = False, within_s: float | None = None
 ) -> None:
     """Return when one of the calls has an answer that was not looked at; there must be a call. For the loop.
 

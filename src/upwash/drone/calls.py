@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, ParamSpec, TypeVar
@@ -36,26 +36,21 @@ class Calls:
     journal: Journal
     waypoint: Callable[[], int | None]
     photos: AnsweredPhotos
-    _started: list[OpenCall] = field(
-        default_factory=list, init=False
-    )  # the last one, and others that are not over
+    # The last one, and others that are not over.
+    _started: list[OpenCall] = field(default_factory=list, init=False)
 
     def call(self, operation: Operation, method: Method, request: bytes) -> Any:
         """Makes a call and waits for its decoded reply; UsageError while another call is pending."""
-        self._require_free(operation)
+        waypoint, run = self._prepared(operation, method, request, urgent=True)
         photo = self._photo(method, request)
         self.photos.hand_over(photo)
 
-        after, waypoint = self._dropped, self.waypoint()
-
-        async def run() -> Any:
+        async def wait() -> Any:
             hearing = self._hearing(waypoint)
             hearing.waits.set()
-            return await self._run(
-                operation, method, request, after=after, waypoint=waypoint, hearing=hearing, urgent=True
-            )
+            return await run(hearing)
 
-        reply = self.thread.call(run())
+        reply = self.thread.call(wait())
         self.photos.answered(getattr(reply, "value", None), photo)
         return reply
 
@@ -65,8 +60,7 @@ class Calls:
         Raises UsageError while another call is pending, or if `call` is no method of an object from `Drone.service`.
         """
         operation, method, request = request_of(call, args, kwargs)
-        self._require_free(operation)
-        after, waypoint = self._dropped, self.waypoint()
+        waypoint, run = self._prepared(operation, method, request)
         started = OpenCall(
             operation=operation,
             method=method,
@@ -81,8 +75,7 @@ class Calls:
         def begin() -> None:
             self.journal.record(schema.CallStarted(operation=str(operation), waypoint=waypoint))
             hearing = self._hearing(waypoint)
-            work = self._run(operation, method, request, after=after, waypoint=waypoint, hearing=hearing)
-            started.begin(work, hearing)
+            started.begin(run(hearing), hearing)
 
         self._started = [call for call in self._started if not call.is_over] + [started]
         self.thread.post(begin)
@@ -96,25 +89,32 @@ class Calls:
     def _several(self) -> bool:
         return self.offloading.server_calls is not None
 
-    @property
-    def _dropped(self) -> OpenCall | None:
-        """The last call, if the mission has dropped it: the next one waits for its end."""
-        return self._started[-1] if self._started and self._started[-1].is_dropped else None
-
     def _photo(self, method: Method, request: bytes) -> NumberedPhoto | None:
         try:
             return self.photos.of_call(method.arguments(request).values())
         except msgspec.MsgspecError:  # the service refuses them
             return self.photos.of_call(())
 
-    def _require_free(self, operation: Operation) -> None:
+    def _prepared(
+        self, operation: Operation, method: Method, request: bytes, *, urgent: bool = False
+    ) -> tuple[int | None, Callable[[Hearing], Coroutine[Any, Any, Any]]]:
+        """The call's waypoint and its work, which waits for the end of a last call that was dropped."""
         self.thread.require_turn()
-        last = self._started[-1] if self._started else None
-        if not (self._several or last is None or last.is_dropped or last.is_over):
+        last, waypoint = self._started[-1] if self._started else None, self.waypoint()
+        after = last if last is not None and last.is_dropped else None
+        if not (self._several or last is None or after or last.is_over):
             raise UsageError(
                 f"{operation} cannot be called yet: another call is pending, and a drone makes one at a time; take "
                 "its answer first, with its result(), or drop it with cancel()"
             )
+
+        async def run(hearing: Hearing) -> Any:
+            if after is not None:
+                await after.over()
+            invoke = partial(self.offloading.invoke, operation, method, request, hearing=hearing)
+            return await (invoke(waypoint, urgent=urgent) if self._several else invoke())
+
+        return waypoint, run
 
     def _hearing(self, waypoint: int | None) -> Hearing:
         def note_first(operation: Operation, delay_s: float) -> None:
@@ -123,19 +123,3 @@ class Calls:
             )
 
         return Hearing(note_first)
-
-    async def _run(
-        self,
-        operation: Operation,
-        method: Method,
-        request: bytes,
-        *,
-        after: OpenCall | None,
-        waypoint: int | None,
-        hearing: Hearing,
-        urgent: bool = False,
-    ) -> Any:
-        if after is not None:
-            await after.over()
-        invoke = partial(self.offloading.invoke, operation, method, request, hearing=hearing)
-        return await (invoke(waypoint, urgent=urgent) if self._several else invoke())

@@ -29,25 +29,20 @@ async def end_safely(
     loop = asyncio.get_running_loop()
     deadline_s = loop.time() + _KEEP_TRYING_S
     told, begun = "", ""
-    ended: Mapping[_Action, Callable[[], schema.Landed | schema.LeftHovering | schema.Disarmed]] = {
-        "return": homecoming.landed,
-        "land": homecoming.landed,
-        "hold": schema.LeftHovering,
-        "disarm": schema.Disarmed,
-    }
-    verbs: Mapping[_Action, Callable[[], Awaitable[None]]] = {
-        "return": homecoming.return_and_land,
-        "land": homecoming.land,
-        "hold": autopilot.hold,
-        "disarm": autopilot.disarm,
+    verbs: Mapping[_Action, tuple[Callable[[], Awaitable[None]], Callable[[], schema.Event]]] = {
+        "return": (homecoming.return_and_land, homecoming.landed),
+        "land": (homecoming.land, homecoming.landed),
+        "hold": (autopilot.hold, schema.LeftHovering),
+        "disarm": (autopilot.disarm, schema.Disarmed),
     }
     while loop.time() < deadline_s:
         doing: _Action = "disarm" if autopilot.stands else action
         if doing != begun:
             begun = doing
             journal.record(schema.SafeEnd(action=doing, why=why))
+        verb, ended = verbs[doing]
         try:
-            await verbs[doing]()
+            await verb()
         except AutopilotOverruled:
             return
         except AutopilotError as error:
@@ -56,7 +51,7 @@ async def end_safely(
                 journal.record(schema.SafeEndFailed(action=doing, why=told))
             await asyncio.sleep(_PAUSE_S)
         else:
-            journal.record(ended[doing]())
+            journal.record(ended())
             return
     why = f"the vehicle has not obeyed for {_KEEP_TRYING_S:.0f} s; only the pilot and its fail-safes can end this"
     journal.record(schema.LeftToPilot(why=why))

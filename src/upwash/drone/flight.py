@@ -173,9 +173,7 @@ class Flight:
             tell=self._offloading.tell,
             default_m_s=config.mission.ground_speed_m_s,
         )
-        self._watch = ReserveWatch(
-            config, ports.autopilot, ports.journal, legs=self._legs, homecoming=self._homecoming
-        )
+        self._watch = ReserveWatch(config, self._legs, self._homecoming)
         self._photos = AnsweredPhotos()
         self._settling = self._settles(specs, selection, objects or FlightObjects())
         self._calls = Calls(
@@ -247,7 +245,6 @@ class Flight:
         about: dict[str, Any] = {
             "legs": self._legs,
             "thread": self._thread,
-            "journal": self._ports.journal,
             "late": self._late_acts(),
             "rule": StayRule(config.policy.stay_or_go, self.demand_map),
             "objects": objects,
@@ -261,13 +258,11 @@ class Flight:
             servers=None if all(spec.on_drone for spec in specs.values()) else calls,
             seeking=Seeking(
                 config=config,
-                plan=self._plan,
                 calls=calls,
                 selection=selection,
                 offloading=self._offloading,
                 legs=self._legs,
                 reserve=self._watch,
-                journal=self._ports.journal,
             ),
         )
 
@@ -282,10 +277,8 @@ class Flight:
             home_s=home_s if ending(config.mission) == "return" else None,
         )
         return LateActs(
-            autopilot=self._ports.autopilot,
-            journal=self._ports.journal,
-            plan=self._plan,
-            acts=acts,
+            self._legs,
+            acts,
             when_to_act=self._offloading.when_to_act,
             within_s=config.policy.acts_within_s,
             home_s=home_s,
@@ -519,15 +512,7 @@ class Flight:
         return Drone(
             self._config,
             plan=self._plan,
-            autopilot=Vehicle(
-                ports.autopilot,
-                thread,
-                journal,
-                legs=self._legs,
-                settling=self._settling,
-                homecoming=self._homecoming,
-                tell=self._offloading.tell,
-            ),
+            autopilot=Vehicle(self._settling, self._homecoming),
             camera=Photographer(
                 ports.camera,
                 thread,

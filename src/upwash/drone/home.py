@@ -5,7 +5,7 @@ A plan's altitudes above the sea become altitudes above the vehicle's own home, 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import msgspec
@@ -98,8 +98,8 @@ def above_home(config: DroneConfig, home_above_sea_m: float) -> DroneConfig:
     takeoff_m = config.mission.altitude_m
     if above.takeoff_above_sea_m is not None:
         takeoff_m = above.takeoff_above_sea_m - home_above_sea_m
-    for what, above_sea_m, altitude_m in _counted_from_sea(above, waypoints, takeoff_m):
-        if altitude_m < _LOWEST_M:
+    for what, above_sea_m in _counted_from_sea(above, file.plan.waypoints):
+        if (altitude_m := above_sea_m - home_above_sea_m) < _LOWEST_M:
             raise AutopilotRefused(
                 "arm",
                 f"{file.file}: {what} is {above_sea_m:g} m above the sea and the vehicle's home "
@@ -118,12 +118,10 @@ def _above_home(waypoint: PlannedWaypoint, home_above_sea_m: float) -> PlannedWa
     return replace(waypoint, place=place)
 
 
-def _counted_from_sea(
-    above: FlightPlan, waypoints: tuple[PlannedWaypoint, ...], takeoff_m: float
-) -> Iterator[tuple[str, float, float]]:
-    """For each converted altitude, its name, metres above the sea, and metres above home."""
+def _counted_from_sea(above: FlightPlan, waypoints: Sequence[PlannedWaypoint]) -> Iterator[tuple[str, float]]:
+    """The name of each converted altitude, and its metres above the sea."""
     if above.takeoff_above_sea_m is not None:
-        yield "the take-off", above.takeoff_above_sea_m, takeoff_m
+        yield "the take-off", above.takeoff_above_sea_m
     for waypoint in waypoints:
         if waypoint.above_sea_m is not None:
-            yield f"item {waypoint.item}", waypoint.above_sea_m, waypoint.place.altitude_m
+            yield f"item {waypoint.item}", waypoint.above_sea_m

@@ -8,16 +8,16 @@ waypoint is another occasion: what would be late is done then, and what the poli
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias
 
 from upwash.core.geo import Position, Waypoint
 from upwash.core.planning.acts import Acts, LateAct, Way
 from upwash.drone.answers import AnswerAction
-from upwash.drone.places import Allows, Place, position_of
+from upwash.drone.legs import Legs
+from upwash.drone.places import Place, position_of
 from upwash.eventlog import schema
-from upwash.ports import Autopilot, Journal
 
 Answer: TypeAlias = AnswerAction[Any]
 
@@ -48,9 +48,7 @@ class LateActs:
     the ground, and `spare_s` the seconds of flight that the reserve leaves; None while these are unknown.
     """
 
-    autopilot: Autopilot
-    journal: Journal
-    plan: Sequence[Waypoint]
+    legs: Legs
     acts: Acts[Answer]
     when_to_act: Callable[[LateAct], int | None]
     within_s: float
@@ -60,7 +58,7 @@ class LateActs:
 
     def __post_init__(self) -> None:
         """Numbers the waypoints of the plan."""
-        self._numbers = {waypoint: number for number, waypoint in enumerate(self.plan)}
+        self._numbers = {waypoint: number for number, waypoint in enumerate(self.legs.site.waypoints)}
 
     def __bool__(self) -> bool:
         """Whether an act is put off."""
@@ -78,19 +76,19 @@ class LateActs:
         """Take all acts, in the order of the way."""
         return self.acts.all()
 
-    async def puts_off(self, answer: Answer, onwards: Onwards, allows: Allows) -> bool:
+    async def puts_off(self, answer: Answer, onwards: Onwards) -> bool:
         """Put the act off if the policy does; return whether it is put off."""
         way, place = self._way(onwards), answer.place
         if way is None or place is None:
             return False
         self._begin_by_s.setdefault(answer, _time_s() + self.within_s)
         within_s = self._left_s(position_of(place), answer)
-        late = self.acts.choice(position_of(place), way, within_s=within_s, allows=allows)
+        late = self.acts.choice(position_of(place), way, within_s=within_s, allows=self.legs.allows)
         if not late.gaps or (chosen := self.when_to_act(late)) is None:
             return False
         gap = late.gaps[chosen]
         self.acts.put_off(answer, position_of(place), gap)
-        self.journal.record(
+        self.legs.journal.record(
             schema.PutOff(
                 waypoint=answer.waypoint,
                 extra_s=round(gap.extra_s, 1),
@@ -115,7 +113,7 @@ class LateActs:
         """None of a drone off its plan."""
         target, ahead, end, rests = onwards
         number = self._numbers.get(target) if isinstance(target, Waypoint) else None
-        vehicle = self.autopilot
+        vehicle = self.legs.autopilot
         if number is None:
             return None
         return Way(vehicle.position, number, ahead, end, None if rests else vehicle.stopping_place)
@@ -125,7 +123,7 @@ class LateActs:
         spare_s, left_s = self.spare_s(), self._begin_by_s[answer] - _time_s()
         if spare_s is None:
             return left_s
-        return min(left_s, spare_s + self.home_s(self.autopilot.position) - self.home_s(place))
+        return min(left_s, spare_s + self.home_s(self.legs.position) - self.home_s(place))
 
 
 def _time_s() -> float:

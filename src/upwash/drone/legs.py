@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 from upwash.core.geo import Position, Via, Waypoint, distance_m
 from upwash.core.selection.events import LegBegun, LegEnded, MissionBegun, SelectionEvent
@@ -23,6 +23,8 @@ _SHORT_M = 1.0  # a leg without a spot to pass
 _LEAST_S = 0.005  # between two looks at the position: 4 cm at 8 m/s
 _FASTER = 1.25  # a vehicle may exceed the speed of its leg: a PX4 flew 4.4 m/s for 4
 _UNSURE_S = 0.1  # between two looks while the position is in doubt
+
+_Way: TypeAlias = tuple[Position, Position]  # from the start of a leg to its end
 
 
 @dataclass(eq=False)
@@ -48,8 +50,7 @@ class Legs:
     place: Place | None = field(default=None, init=False)
     # The leg that is flown while the mission looks at an answer.
     _leg: asyncio.Task[None] | None = field(default=None, init=False)
-    _leg_start: Position | None = field(default=None, init=False)
-    _leg_end: Position | None = field(default=None, init=False)
+    _way: _Way | None = field(default=None, init=False)
 
     @property
     def position(self) -> Position:
@@ -111,7 +112,7 @@ class Legs:
     async def until_answered(self, verb: Coroutine[Any, Any, None] | None, demand: Demand[Any]) -> bool:
         """Begin to fly, or fly on; return True on arrival, or False, still in flight, when an answer is there."""
         self._leg = self._leg if verb is None else begin(verb)
-        return await self._ends_before(demand.answered())
+        return await self._ends_before(one_answered([demand]))
 
     async def _ends_before(self, *waits: Coroutine[Any, Any, Any]) -> bool:
         """Return True at rest at the end of the leg, or False, still in flight, after the first of the waits."""
@@ -136,7 +137,7 @@ class Legs:
         await self.arrive()
         start = self.stands_at or self.autopilot.position
         self.site.require_leg(self.limits, start, end)
-        self._leg_start, self._leg_end = start, end
+        self._way = start, end
         self._leg = begin(self._fly_leg(end, ground_speed_m_s))
 
     async def _fly_leg(self, end: Position, ground_speed_m_s: float | None) -> None:
@@ -145,15 +146,13 @@ class Legs:
 
     def passes(self, place: Place) -> bool:
         """Whether the leg that is flown passes the place, or has just passed it; True too in doubt of its place."""
-        start, end, spot = self._leg_start, self._leg_end, position_of(place)
-        if start is None or end is None or not lies_on(spot, start, end):
-            return False
-        return not self._misses(spot, start=start, end=end)
+        way, spot = self._way, position_of(place)
+        return way is not None and lies_on(spot, *way) and not self._misses(spot, way)
 
     def left(self) -> Position:
         """The place of the last leg that is nearest to the vehicle; the vehicle's place before the first leg."""
-        start, end, here = self._leg_start, self._leg_end, self.autopilot.position
-        return here if start is None or end is None else nearest_on(start, end, here)
+        here = self.autopilot.position
+        return here if self._way is None else nearest_on(*self._way, here)
 
     def head_for(self, place: Place, via: tuple[Via, ...] = ()) -> None:
         """Note that the place is the next one on the leg, or on those over `via`."""
@@ -171,9 +170,9 @@ class Legs:
 
         Return False when one of the answers is there, or when it has missed the place.
         """
-        start, end, position = self._leg_start, self._leg_end, position_of(place)
-        assert start is not None and end is not None  # noqa: S101 - it was set off
-        if not await self.fly_through(position, answers) or self._misses(position, start=start, end=end):
+        way, position = self._way, position_of(place)
+        assert way is not None  # noqa: S101 - it was set off
+        if not await self.fly_through(position, answers) or self._misses(position, way):
             return False
         self.tell(LegEnded())
         hold: dict[str, Any] = (
@@ -184,24 +183,24 @@ class Legs:
 
     async def fly_through(self, position: Position, answers: Sequence[AnswerAction[Any]]) -> bool:
         """As `fly_on`, of a place that is none of the mission's."""
-        start, end, is_there = self._leg_start, self._leg_end, False
-        assert start is not None and end is not None  # noqa: S101 - it was set off
+        way, is_there = self._way, False
+        assert way is not None  # noqa: S101 - it was set off
 
         async def passes() -> None:
             nonlocal is_there
-            await self._passed(position, start=start, end=end)
+            await self._passed(position, way)
             is_there = True
 
         waits: list[Coroutine[Any, Any, Any]] = [one_answered(answers)] if answers else []
-        if position != end and distance_m(start, end) > _SHORT_M:
+        if position != way[1] and distance_m(*way) > _SHORT_M:
             waits.append(passes())
         return await self._ends_before(*waits) or is_there
 
-    async def _passed(self, spot: Position, *, start: Position, end: Position) -> None:
-        """Return when the vehicle, sure of its position, has passed the spot from `start` to `end`."""
+    async def _passed(self, spot: Position, way: _Way) -> None:
+        """Return when the vehicle, sure of its position, has passed the spot on its way."""
         vehicle, fastest_m_s = self.autopilot, self.ground_speed_m_s or self.default_m_s
         while True:
-            left_m = ahead_m(spot, vehicle.position, start=start, end=end)
+            left_m = ahead_m(spot, vehicle.position, start=way[0], end=way[1])
             if left_m <= 0 and vehicle.position_is_sure:
                 return
             velocity = vehicle.telemetry.velocity
@@ -209,7 +208,7 @@ class Legs:
             ahead_s = left_m / (_FASTER * speed_m_s)
             await asyncio.sleep(max(_LEAST_S, ahead_s) if left_m > 0 else _UNSURE_S)
 
-    def _misses(self, spot: Position, *, start: Position, end: Position) -> bool:
+    def _misses(self, spot: Position, way: _Way) -> bool:
         """Whether it is sure to have passed a spot too far away, or long ago, as in a silence of its link.
 
         A leg that is flown reaches its end. At rest only a spot where the vehicle surely is counts as reached.
@@ -217,6 +216,7 @@ class Legs:
         here, is_sure = self.autopilot.position, self.autopilot.position_is_sure
         if self.rests and (not is_sure or is_far(spot, here)):
             return True
+        start, end = way
         if end in (spot, start) or not is_sure:
             return False
         speed_m_s = self.ground_speed_m_s or self.default_m_s
@@ -224,8 +224,8 @@ class Legs:
 
     async def stop(self) -> None:
         """Brake and end the leg, or fly it to its end if that is nearer."""
-        if self._leg is not None and self._leg_end is not None:
-            await self.stop_short_of(self._leg_end)
+        if self._leg is not None and self._way is not None:
+            await self.stop_short_of(self._way[1])
 
     async def arrive(self) -> None:
         """Wait until the vehicle rests at the end of the leg."""

@@ -70,7 +70,7 @@ class ObjectAnswer(AnswerAction[T]):
 
     def learn(self) -> None:
         """Have the rule learn from the answer, once; an object that it shows first is a demand."""
-        if not self.needs_server:
+        if not self.call.needs_server:
             self._learn(demanded=bool(self._claims))
 
 

@@ -17,7 +17,7 @@ from typing import Any, Protocol, TypeAlias
 
 import msgspec
 
-from upwash.core.camera.catalogue import Catalogue, Entry, Sighting
+from upwash.core.camera.catalogue import Catalogue, Sighting
 from upwash.core.camera.georeference import Place, Unplaced, radius_of_95
 from upwash.core.geo import Position, rounded
 from upwash.drone.answered_photos import NumberedPhoto
@@ -148,7 +148,7 @@ class FlightObjects:
         if finding.place is None:
             label, score = finding.outline.label, finding.outline.score
             return FoundObject(label, score, None, finding.taken_at, 1)
-        entry = self._entry(key)
+        entry = self._catalogue.entry_of(*key)
         place = entry.place()
         scores = [self._findings[seen.key].outline.score for seen in entry.sightings.values()]
         return FoundObject(
@@ -189,14 +189,11 @@ class FlightObjects:
             self._is_joined = not self._catalogue.join()
 
     def _is_claimed(self, key: Key, *, but: Key | None = None) -> bool:
-        if self._findings[key].place is None:
-            return key in self._claimed - {but}
-        return any(
-            seen.key in self._claimed and seen.key != but for seen in self._entry(key).sightings.values()
+        is_placed = self._findings[key].place is not None
+        keys = (
+            [seen.key for seen in self._catalogue.entry_of(*key).sightings.values()] if is_placed else [key]
         )
-
-    def _entry(self, key: Key) -> Entry:
-        return self._catalogue.entry_of(*key)
+        return not self._claimed.isdisjoint(each for each in keys if each != but)
 
 
 def _place_of(record: FoundRecord) -> Place | None:

@@ -56,7 +56,21 @@ class OnboardServices:
 
         Raises InstanceError if the repetition fails too, and OutcomeUnknown if `once` forbids it.
         """
-        return await self._services[service].call(method, request, timeout_s=timeout_s, once=once)
+        own = self._services[service]
+        try:
+            return await own.attempt(method, request, timeout_s)
+        except Refused as error:  # it is well, and would refuse again
+            raise InstanceError(f"{service} on the drone: {error}") from error
+        except LinkError as error:
+            own.journal.record(schema.LocalFailed(service=service, method=method, why=str(error)))
+            if once:
+                raise OutcomeUnknown(
+                    f"{service} failed on the drone in {method}, which may have run and must not run twice: {error}"
+                ) from error
+        try:
+            return await own.attempt(method, request, timeout_s)
+        except LinkError as error:
+            raise InstanceError(f"{service} failed on the drone, twice: {error}") from error
 
     async def close(self) -> None:
         """Ends every service; returns when all have ended."""
@@ -87,23 +101,6 @@ class _OnboardService:
         first = await self._launch()
         self.life = start(self._live(first), name=f"the life of {self.spec.name}", failed=self._give_up)
 
-    async def call(self, method: str, request: bytes, *, timeout_s: float, once: bool) -> bytes:
-        try:
-            return await self._attempt(method, request, timeout_s)
-        except Refused as error:  # it is well, and would refuse again
-            raise InstanceError(f"{self.spec.service} on the drone: {error}") from error
-        except LinkError as error:
-            self.journal.record(schema.LocalFailed(service=self.spec.service, method=method, why=str(error)))
-            if once:
-                raise OutcomeUnknown(
-                    f"{self.spec.service} failed on the drone in {method}, which may have run and must not run "
-                    f"twice: {error}"
-                ) from error
-        try:
-            return await self._attempt(method, request, timeout_s)
-        except LinkError as error:
-            raise InstanceError(f"{self.spec.service} failed on the drone, twice: {error}") from error
-
     def _give_up(self, defect: Exception) -> None:
         """Fail every call from now on: nothing starts the service again."""
         why = f"{self.spec.service} is not watched any more, after a defect: {worded(defect)}"
@@ -111,7 +108,7 @@ class _OnboardService:
         self._running = asyncio.get_running_loop().create_future()
         self._running.set_exception(InstanceError(why))
 
-    async def _attempt(self, method: str, request: bytes, timeout_s: float) -> bytes:
+    async def attempt(self, method: str, request: bytes, timeout_s: float) -> bytes:
         try:
             async with asyncio.timeout(self.start_timeout_s):
                 running = await asyncio.shield(self._running)

@@ -84,14 +84,12 @@ class OwnPolicy:
         if isinstance(choice, str) or choice is None:
             choice = Choice(choice, "its choice")
         if not isinstance(choice, Choice):
-            raise self._defect(
-                "choose", f"returned {choice!r:.200}, and a server's name, None or a Choice is expected"
-            )
-        if choice.server is not None and choice.server not in servers:
-            raise self._defect(
-                "choose", f"named {choice.server!r:.100}, which is not among the servers {servers}"
-            )
-        return choice
+            why = f"returned {choice!r:.200}, and a server's name, None or a Choice is expected"
+        elif choice.server is not None and choice.server not in servers:
+            why = f"named {choice.server!r:.100}, which is not among the servers {servers}"
+        else:
+            return choice
+        raise self._defect("choose", why)
 
     def decide(self, call: CallInputs) -> Decision:
         """Where the call runs: Wait, Remote or Local."""
@@ -112,6 +110,8 @@ class OwnPolicy:
     def place_in_line(self, line: Line) -> Take | None:
         """The call in line that a free lane takes now, if any."""
         take = self._answer("place_in_line", line)
+        calls = counted(len(line.calls), "call")
+        why = f"returned {take!r:.200}, and None or the Take of one of {calls} is expected"
         match take:
             case None:
                 return None
@@ -119,18 +119,12 @@ class OwnPolicy:
                 is_server = lane == "server"
                 held, call = line.server if is_server else line.drone, line.calls[number]
                 if held is None or not held.is_free:
-                    raise self._defect(
-                        "place_in_line", f"took call {number}, and the {lane}'s lane is not free"
-                    )
-                if math.isinf(call.remote_s if is_server else call.local_s):
-                    raise self._defect(
-                        "place_in_line", f"took call {number}, and the {lane} cannot compute it now"
-                    )
-                return take
-        raise self._defect(
-            "place_in_line",
-            f"returned {take!r:.200}, and None or the Take of one of {counted(len(line.calls), 'call')} is expected",
-        )
+                    why = f"took call {number}, and the {lane}'s lane is not free"
+                elif math.isinf(call.remote_s if is_server else call.local_s):
+                    why = f"took call {number}, and the {lane} cannot compute it now"
+                else:
+                    return take
+        raise self._defect("place_in_line", why)
 
     def where_to_wait(self, stay: Stay) -> str | None:
         """The server of the range where a resting drone waits for answers; None for where it is."""

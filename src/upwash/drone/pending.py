@@ -53,9 +53,12 @@ class OpenCall:
     waypoint: int | None
     photo: NumberedPhoto | None
     is_alone: bool
+    # Both from `begin` on.
+    task: asyncio.Task[Any] = field(init=False)
+    hearing: Hearing = field(init=False)
     is_dropped: bool = field(default=False, init=False)
     took_s: float = field(default=0.0, init=False)
-    _begun: tuple[asyncio.Task[Any], Hearing] | None = field(default=None, init=False)
+    _has_begun: bool = field(default=False, init=False)
     _is_taken: bool = field(default=False, init=False)
 
     @property
@@ -72,30 +75,18 @@ class OpenCall:
             if not task.cancelled():
                 task.exception()  # retrieved: asyncio reports no failure that the mission never asks for
 
-        self._begun = begin(work), hearing
+        self.task, self.hearing, self._has_begun = begin(work), hearing, True
         self.task.add_done_callback(note_end)
-
-    @property
-    def task(self) -> asyncio.Task[Any]:
-        """The work, which the loop has begun."""
-        assert self._begun is not None  # noqa: S101 - the loop begins it before the mission's next verb
-        return self._begun[0]
-
-    @property
-    def hearing(self) -> Hearing:
-        """The mission's part in the call, which the loop has begun."""
-        assert self._begun is not None  # noqa: S101 - likewise
-        return self._begun[1]
 
     @property
     def is_over(self) -> bool:
         """Whether the call has ended, with an answer or without; for any thread."""
-        return self._begun is not None and self.task.done()
+        return self._has_begun and self.task.done()
 
     @property
     def has_first(self) -> bool:
         """Whether the first of two answers is there."""
-        return self._begun is not None and self.hearing.first.done()
+        return self._has_begun and self.hearing.first.done()
 
     @property
     def failure(self) -> str:
@@ -212,10 +203,6 @@ class Demand(Generic[T]):
         """Futures: the first that is done makes the question due."""
         call = self.call
         return {call.task} if self._holds is not None else {call.task, call.hearing.first}
-
-    async def answered(self) -> None:
-        """Return when the question is due; for the loop."""
-        await asyncio.wait(self.news, return_when=asyncio.FIRST_COMPLETED)
 
     def note(self) -> None:
         """Log the answer's demand, before the drone flies back to its waypoint."""

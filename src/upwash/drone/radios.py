@@ -41,14 +41,11 @@ class RadioWorker:
     told: Callable[[], Coroutine[Any, Any, None]]
     session: ServerSession | None = field(default=None, init=False)
     cut: events.RemoteCallCut | None = field(default=None, init=False)
-
-    def __post_init__(self) -> None:
-        """Has no commands."""
-        self._commands: asyncio.Queue[Command] = asyncio.Queue()
-        self._tasks: asyncio.TaskGroup  # of `run`: the worker fails with any of them
-        self._exchange: asyncio.Task[None] | None = None  # what the session is busy with
-        self._message: asyncio.Task[None] | None = None  # for a peer of the server
-        self._watch: asyncio.Task[None] | None = None  # over the network that the session joined
+    _commands: asyncio.Queue[Command] = field(default_factory=asyncio.Queue, init=False)
+    _tasks: asyncio.TaskGroup = field(init=False)  # of `run`: the worker fails with any of them
+    _exchange: asyncio.Task[None] | None = field(default=None, init=False)  # what the session is busy with
+    _message: asyncio.Task[None] | None = field(default=None, init=False)  # for a peer of the server
+    _watch: asyncio.Task[None] | None = field(default=None, init=False)  # over the session's network
 
     def round_trip_s(self, server: str) -> float | None:
         """The seconds of the last answered request to the server's daemon; None if elsewhere or unanswered."""

@@ -10,7 +10,6 @@ from upwash.core.vehicle.energy import FlightEnergy, FlightReport, Margin, Reser
 from upwash.drone.homecoming import Homecoming
 from upwash.drone.legs import Legs
 from upwash.eventlog import schema
-from upwash.ports import Autopilot, Journal
 
 _LOOK_S = 1.0
 _SILENT_LOOKS = 10  # the battery is among the last things that a vehicle reports after a start
@@ -22,15 +21,7 @@ _HOME = Position(0.0, 0.0)
 class ReserveWatch:
     """Checks the battery every second, on the ground and in the air, and on the way down."""
 
-    def __init__(
-        self,
-        config: DroneConfig,
-        autopilot: Autopilot,
-        journal: Journal,
-        *,
-        legs: Legs,
-        homecoming: Homecoming,
-    ) -> None:
+    def __init__(self, config: DroneConfig, legs: Legs, homecoming: Homecoming) -> None:
         mission = config.mission
         self._least_percent = mission.reserve_percent
         self._energy: FlightEnergy | None = None
@@ -41,9 +32,7 @@ class ReserveWatch:
                 lands=config.autopilot.on_failure == "land",
             )
         self.pace = told_pace(config.vehicle) or pace_in_numbers(config.vehicle)
-        self._autopilot = autopilot
-        self._journal = journal
-        self._legs = legs
+        self._legs, self._autopilot, self._journal = legs, legs.autopilot, legs.journal
         self._homecoming = homecoming
         self._home = _HOME  # where it was last seen before it took off
         self._has_flown = False

@@ -25,7 +25,7 @@ from typing import Any
 
 from msgspec.structs import asdict
 
-from upwash.core.geo import Position, Via, Waypoint, distance_m
+from upwash.core.geo import Position, Via, Waypoint, distance_m, first_on_way
 from upwash.core.planning.stay_or_go import RowOutlook, StayVerdict
 from upwash.drone.answers import AnswerAction
 from upwash.drone.late_acts import Onwards
@@ -155,13 +155,10 @@ class Rows(Several):
         following = self._following.get(place) if isinstance(place, Waypoint) else None
         if following is None:
             return
-        end, speed_m_s = following.position, following.ground_speed_m_s
-        if following.via:
-            end, speed_m_s = following.via[0].position, following.via[0].ground_speed_m_s
-        else:
-            end = self._end_of_leg(following) or end
+        first = first_on_way(following)
+        end = (None if following.via else self._end_of_leg(following)) or first.position
         if not self.legs.site.way or self.legs.allows(position_of(place), end):
-            self._set_off(end, speed_m_s)
+            self._set_off(end, first.ground_speed_m_s)
 
     def _row_end_from_here(self, place: Waypoint) -> Position | None:
         """The end of the place's row, if the drone is on that row, and passes the place on its way there."""

@@ -30,7 +30,6 @@ from upwash.drone.offloading import Offloading
 from upwash.drone.reserve import ReserveWatch
 from upwash.drone.server_calls import ServerCalls
 from upwash.eventlog import schema
-from upwash.ports import Journal
 
 _LEAST_GAIN_S = 1.0  # a stop that may not last so long is none
 
@@ -40,13 +39,11 @@ class Seeking:
     """Decides about these stops, and waits; on the loop."""
 
     config: DroneConfig
-    plan: Sequence[Waypoint]
     calls: ServerCalls
     selection: Selection
     offloading: Offloading
     legs: Legs
     reserve: ReserveWatch
-    journal: Journal
 
     def __post_init__(self) -> None:
         """Knows the ranges of servers, and no leg that passes them."""
@@ -61,11 +58,11 @@ class Seeking:
 
     def _leads_through(self, names: Iterable[str], target: Waypoint) -> bool:
         """Whether the way from the target on passes a range of these servers."""
-        if target not in self.plan:
+        if target not in self.legs.site.waypoints:
             return True  # nothing is known of the way
         home, servers = self._home, frozenset(names)
         stops = AnswerStops([self._areas[name] for name in names])
-        places = [waypoint.position for waypoint in self.plan]
+        places = [waypoint.position for waypoint in self.legs.site.waypoints]
         if home is not None and stops.passed([places[-1], home]):
             return True
         if servers not in self._last_legs:
@@ -73,7 +70,9 @@ class Seeking:
             self._last_legs[servers] = next(
                 (leg for leg in legs if stops.passed(places[leg - 1 : leg + 1])), 0
             )
-        return self.plan.index(target) < self._last_legs[servers] or stops.contains(target.position)
+        return self.legs.site.waypoints.index(target) < self._last_legs[servers] or stops.contains(
+            target.position
+        )
 
     async def beside_way_home(self) -> Position | None:
         """The place to stop at on the way home; None if none is worth it, or a fence forbids the way."""
@@ -119,7 +118,9 @@ class Seeking:
             return None
         but.add(server)
         place, extra_s = ranges[server].position, round(ranges[server].extra_s, 1)
-        self.journal.record(schema.SoughtAnswers(waiting=len(operations), position=place, extra_s=extra_s))
+        self.legs.journal.record(
+            schema.SoughtAnswers(waiting=len(operations), position=place, extra_s=extra_s)
+        )
         return place
 
     def _allows(self, here: Position, place: Position, onwards: Position) -> bool:
@@ -153,7 +154,9 @@ class Seeking:
         waiting = len(self.calls.waiting)
         if not waiting or (most_s := self._most_s(extra_s)) < _LEAST_GAIN_S:
             return
-        self.journal.record(schema.SoughtAnswers(waiting=waiting, position=here, extra_s=round(extra_s, 1)))
+        self.legs.journal.record(
+            schema.SoughtAnswers(waiting=waiting, position=here, extra_s=round(extra_s, 1))
+        )
         await self.calls.answered_here(most_s)
 
     async def after_landing(self) -> None:

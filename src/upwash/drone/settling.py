@@ -22,7 +22,6 @@ from upwash.drone.objects import FlightObjects
 from upwash.drone.pending import Demand, OpenCall
 from upwash.drone.places import Place, position_of
 from upwash.eventlog import schema
-from upwash.ports import Journal
 
 T = TypeVar("T")
 
@@ -33,7 +32,6 @@ class Settling:
 
     legs: Legs
     thread: MissionThread
-    journal: Journal
     late: LateActs
     rule: StayRule
     objects: FlightObjects
@@ -83,7 +81,7 @@ class Settling:
 
     def take_up(self, answer: AnswerAction[Any]) -> None:
         """Wait for the answer and settle it, or leave it open and return."""
-        if answer.needs_server or self._goes(answer) or not self.hear(answer):
+        if answer.call.needs_server or self._goes(answer) or not self.hear(answer):
             self.leave_open(answer)
 
     def _goes(self, answer: AnswerAction[Any]) -> bool:
@@ -141,10 +139,10 @@ class Settling:
         return True
 
     def _is_put_off(self, act: AnswerAction[Any], onwards: Onwards) -> bool:
-        if not self.thread.call(self.late.puts_off(act, onwards, self.legs.allows)):
+        if not self.thread.call(self.late.puts_off(act, onwards)):
             return False
         act.put_off()
         return True
 
     def _note(self, event: schema.Event) -> None:
-        self.thread.post(lambda: self.journal.record(event))
+        self.thread.post(lambda: self.legs.journal.record(event))

@@ -96,7 +96,7 @@ class Several(Settling):
     def leave_open(self, answer: AnswerAction[Any]) -> None:
         """Meet the answer's demand once it is there; stop and wait if too many answers are open."""
         self._open.append(answer)
-        if answer.needs_server:
+        if answer.call.needs_server:
             if not answer.only_tells:
                 self._wait_if_soon(answer)
             return
@@ -123,7 +123,7 @@ class Several(Settling):
         if due := self.late.all():
             self._open += due
             was_away = self.meet(due) is not None
-        while any(not answer.needs_server for answer in self._open):
+        while any(not answer.call.needs_server for answer in self._open):
             was_away |= self._seeks(sought, back=comes_back) or self._take_next(waits=True)
         if self._open:
             self.thread.call(asyncio.sleep(0))  # the loop begins the last call
@@ -159,7 +159,7 @@ class Several(Settling):
     @property
     def unheard(self) -> int:
         """How many open answers are not there and come without a server too; of two the first counts."""
-        return sum(not (answer.is_heard or answer.needs_server) for answer in self._open)
+        return sum(not (answer.is_heard or answer.call.needs_server) for answer in self._open)
 
     def meet(self, demanding: list[AnswerAction[Any]], onwards: Onwards | None = None) -> Place | None:
         """Act on the answers in their order, and on those that come meanwhile; return where the last was.
@@ -223,7 +223,9 @@ class Several(Settling):
 
         With `waits` it rests here until every answer is in.
         """
-        answers = [answer for answer in self._open if not (answer.is_held or (waits and answer.needs_server))]
+        answers = [
+            answer for answer in self._open if not (answer.is_held or (waits and answer.call.needs_server))
+        ]
         demanding = self._taken(self.thread.call(_timed(one_answered(answers, waits=waits))))
         if demanding:
             self.meet(demanding)
@@ -265,7 +267,7 @@ class Several(Settling):
 
         Answers that are there are taken first.
         """
-        unheard = [answer for answer in self._open if not (answer.is_heard or answer.needs_server)]
+        unheard = [answer for answer in self._open if not (answer.is_heard or answer.call.needs_server)]
         if not unheard:
             return False
         self.thread.call(asyncio.sleep(0))  # the loop begins the last call

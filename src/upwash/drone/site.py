@@ -54,12 +54,7 @@ class Site(Struct, frozen=True):
         raised if the vehicle's home is not at the altitude with which the mission was converted.
         """
         self.home.require_same(limits)
-        problems = itertools.chain(
-            self._at_the_start(limits, vehicle),
-            self._on_the_way(limits, vehicle),
-            self._at_the_end(limits, vehicle),
-        )
-        for what, why in problems:
+        for what, why in self._forbidden(limits, vehicle):
             raise AutopilotRefused("arm", f"the vehicle's own fence forbids {what}: {why}; {_REMEDY}")
 
     def require_leg(self, limits: VehicleLimits, start: Position, target: Position) -> None:
@@ -122,13 +117,12 @@ class Site(Struct, frozen=True):
             away = _far(ground_distance_m(end.position, home))
             yield f"a return from {_waypoints(indices)} ends at the vehicle's {end.name}, {away} from home"
 
-    def _at_the_start(self, limits: VehicleLimits, vehicle: Position) -> Iterator[tuple[str, str]]:
+    def _forbidden(self, limits: VehicleLimits, vehicle: Position) -> Iterator[tuple[str, str]]:
+        """The parts of the flight that the vehicle's own fence forbids, in their order, and why."""
         if why := _outside_areas(limits, vehicle):
             yield f"the place where the vehicle stands ({_place(vehicle)})", why
         if why := _outside_altitudes(limits, self.takeoff_m):
             yield f"the take-off to {self.takeoff_m:g} m", why
-
-    def _on_the_way(self, limits: VehicleLimits, vehicle: Position) -> Iterator[tuple[str, str]]:
         before, whence = vehicle, f"where the vehicle stands ({_place(vehicle)})"
         for name, place in self._places():
             if why := _outside_altitudes(limits, place.altitude_m) or _outside_areas(limits, place):
@@ -136,6 +130,17 @@ class Site(Struct, frozen=True):
             if why := _crossed_areas(limits, before, place):
                 yield name, f"the way there from {whence} {why}"
             before, whence = place, name
+        names = limits.names
+        if limits.highest_m is not None and limits.returns_at_m >= limits.highest_m:
+            why = f"it ends at {names.highest} = {limits.highest_m:g} m; lower {names.returns_at}"
+            yield f"the way home at {names.returns_at} = {limits.returns_at_m:g} m", why
+        if self.ending != "return" or not self.waypoints:
+            return
+        end = limits.rally.chosen(before, _home(limits, vehicle))
+        if why := _outside_areas(limits, end.position):
+            yield f"the landing at the vehicle's {end.name} ({_place(end.position)})", why
+        if why := _crossed_areas(limits, before, end.position):
+            yield f"the way {'home' if end.name == 'home' else f'to {end.name}'} from {whence}", f"it {why}"
 
     def _places(self) -> Iterator[tuple[str, Position]]:
         """The name and position of each place of the flight, those without a photo among them."""
@@ -148,20 +153,6 @@ class Site(Struct, frozen=True):
             yield f"waypoint {waypoint.index}", waypoint.position
         for via in self.leaving:
             yield f"a place after the last photo ({_place(via.position)})", via.position
-
-    def _at_the_end(self, limits: VehicleLimits, vehicle: Position) -> Iterator[tuple[str, str]]:
-        names = limits.names
-        if limits.highest_m is not None and limits.returns_at_m >= limits.highest_m:
-            why = f"it ends at {names.highest} = {limits.highest_m:g} m; lower {names.returns_at}"
-            yield f"the way home at {names.returns_at} = {limits.returns_at_m:g} m", why
-        if self.ending != "return" or not self.waypoints:
-            return
-        *_, (last, place) = self._places()
-        end = limits.rally.chosen(place, _home(limits, vehicle))
-        if why := _outside_areas(limits, end.position):
-            yield f"the landing at the vehicle's {end.name} ({_place(end.position)})", why
-        if why := _crossed_areas(limits, place, end.position):
-            yield f"the way {'home' if end.name == 'home' else f'to {end.name}'} from {last}", f"it {why}"
 
     def _too_near(self, limits: VehicleLimits) -> Iterator[str]:
         """Warnings about places nearer to the fence than the vehicle's margin, where it may overshoot."""

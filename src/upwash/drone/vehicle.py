@@ -7,11 +7,9 @@ from collections.abc import Callable, Coroutine
 from typing import Any, Literal
 
 from upwash.core.geo import EarthPosition, Position, Waypoint, rounded
-from upwash.core.selection.events import DescentBegun, MissionBegun, SelectionEvent, TargetUnknown
+from upwash.core.selection.events import DescentBegun, MissionBegun, TargetUnknown
 from upwash.core.vehicle.telemetry import Telemetry
 from upwash.drone.homecoming import Homecoming
-from upwash.drone.legs import Legs
-from upwash.drone.mission import MissionThread
 from upwash.drone.pending import Demand
 from upwash.drone.places import index_of
 from upwash.drone.settling import Settling
@@ -19,7 +17,7 @@ from upwash.drone.site import require_altitude
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.schema import SEVERITIES
-from upwash.ports import Autopilot, ComingDown, Journal, VehicleLimits
+from upwash.ports import ComingDown
 from upwash.support.text import printable
 
 Severity = Literal["emergency", "alert", "critical", "error", "warning", "notice", "info", "debug"]
@@ -30,24 +28,12 @@ _AtPlace = type[schema.Armed | schema.Holding | schema.Disarmed]
 class Vehicle:
     """The vehicle as a mission uses it: a method returns when its action is complete, or raises AutopilotError."""
 
-    def __init__(
-        self,
-        autopilot: Autopilot,
-        thread: MissionThread,
-        journal: Journal,
-        *,
-        legs: Legs,
-        settling: Settling,
-        homecoming: Homecoming,
-        tell: Callable[[SelectionEvent], None],
-    ) -> None:
-        self._autopilot = autopilot
-        self._thread = thread
-        self._journal = journal
-        self._legs = legs
+    def __init__(self, settling: Settling, homecoming: Homecoming) -> None:
         self._settling = settling
         self._homecoming = homecoming
-        self._tell = tell
+        self._thread, self._legs = settling.thread, settling.legs
+        self._autopilot, self._journal = self._legs.autopilot, self._legs.journal
+        self._tell = self._legs.tell
 
     @property
     def position(self) -> Position:
@@ -204,20 +190,7 @@ class Vehicle:
 
     async def _arm(self) -> None:
         await self._autopilot.ready()
-        limits = await self._autopilot.limits()
-        self._record_limits(limits)
-        stands, site = self._autopilot.position, self._legs.site
-        site.require_reachable(stands)
-        site.require_within(limits, stands)
-        for why in site.doubts(limits, stands):
-            self._journal.record(schema.SiteDoubt(why=why))
-        self._legs.limits = limits
-        self._journal.record(schema.Arming())
-        await self._autopilot.arm()
-        self._tell(MissionBegun(self._autopilot.energy, self._autopilot.pace))
-
-    def _record_limits(self, limits: VehicleLimits) -> None:
-        battery = self._autopilot.energy
+        limits, battery = await self._autopilot.limits(), self._autopilot.energy
         self._journal.record(
             schema.LimitsRead(
                 home=rounded(limits.home) if limits.home else None,
@@ -230,6 +203,15 @@ class Vehicle:
                 rally=[rounded(point.position) for point in limits.rally.points],
             )
         )
+        stands, site = self._autopilot.position, self._legs.site
+        site.require_reachable(stands)
+        site.require_within(limits, stands)
+        for why in site.doubts(limits, stands):
+            self._journal.record(schema.SiteDoubt(why=why))
+        self._legs.limits = limits
+        self._journal.record(schema.Arming())
+        await self._autopilot.arm()
+        self._tell(MissionBegun(self._autopilot.energy, self._autopilot.pace))
 
     async def _takeoff(self, altitude_m: float) -> None:
         require_altitude(self._legs.limits, altitude_m, step=f"takeoff to {altitude_m:g} m")
