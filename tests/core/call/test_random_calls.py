@@ -373,7 +373,7 @@ class RandomCalls(RuleBasedStateMachine):
             return  # the program has not looked yet
         line = [place.call for place in self.world.lanes.line]  # type: ignore[attr-defined]
         is_deciding = any(self.stories[call].is_waiting for call in self.open)
-        assert is_deciding or self.world.next_in_line(0.0) is None, "a free place takes the first in line"
+        assert is_deciding or self.world.next_in_line() is None, "a free place takes the first in line"
         for call in self.open:
             story = self.stories[call]
             by_s = story.made_s + (TWO.within_s if story.is_twice else story.asked.within_s or math.inf)
