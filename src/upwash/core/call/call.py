@@ -203,7 +203,7 @@ class Call:
         """Attempt the call at a server, and plan when a second one gets it too."""
         self.tries, self.winner, self.is_seconded, self.second_s = [], None, False, None
         self._begin(calls, remote)
-        if self.two is None and not self.asked.on_servers:
+        if not self.asked.on_servers:
             self.second_after_s = calls.second_after_s(self.tries[0].operation, remote.server)
 
     def _begin(self, calls: Calls, remote: Remote) -> None:
@@ -294,7 +294,7 @@ class Call:
         """Send the call to another READY server too, in the time that is left, if one may get it."""
         self.is_seconded, after_s = True, calls.now_s - first.begun_s
         left_s = first.deadline_s - after_s
-        server = calls.second(first) if left_s > 0 and not self.is_over else None
+        server = calls.second(first) if left_s > 0 else None
         if server is None:
             return
         self.second_s = after_s

@@ -500,9 +500,7 @@ class Calls:
             self._call_failed(attempt, why)
 
     def test(self, attempt: Attempt, *, raised: bool) -> None:
-        """Compare the exception that the server reported, if any, with the drone's own result of the same call."""
-        if not attempt.raised or attempt.verdict:
-            return
+        """Compare the exception that the server reported with the drone's own result of the same call."""
         operation, confirmed = attempt.operation, raised
         attempt.verdict = "confirmed" if confirmed else "denied"
         why = f"it says that {operation} raised {attempt.raised}, which did not raise on the drone"
