@@ -419,6 +419,6 @@ class ManyRandomCalls(RandomCalls):
 
 
 TestRandomCalls = RandomCalls.TestCase
-TestRandomCalls.settings = settings(max_examples=300, stateful_step_count=50)
+TestRandomCalls.settings = settings(max_examples=250, stateful_step_count=50)
 TestManyRandomCalls = pytest.mark.nightly(ManyRandomCalls.TestCase)
 TestManyRandomCalls.settings = settings(max_examples=1000, stateful_step_count=50)
