@@ -444,6 +444,7 @@ def test_an_exception_is_logged_as_a_failure_where_the_drone_cannot_test_it() ->
     why = f"s1 says that gripper.look raised {SAID}"
     assert of(field.told, schema.RemoteFailed) == [schema.RemoteFailed(server="s1", check=CHECK, why=why)]
     assert len(of(field.told, schema.Decided)) == 2
+    assert field.asked == [(False, False)] * 2, "not for the drone"
 
 
 @pytest.mark.parametrize(("whole_s", "less_s", "longer"), [(1.0, 0.8, 1.25), (2.0, 0.5, 4.0)])
