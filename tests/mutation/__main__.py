@@ -34,6 +34,7 @@ PACKAGES = {  # the tests that judge a package
     "rpc": ("tests/rpc", "tests/server"),
     "server": ("tests/server",),
     "real/mavlink": ("tests/ports",),
+    "core/call": ("tests/core/call",),
 }
 _SMALLEST = 400  # tests that come first, as they enter the fewest functions; then those that enter the most
 _PYTEST = (
@@ -47,7 +48,7 @@ _PYTEST = (
     "no:cacheprovider",
     "--timeout=120",
 )
-_ORDINARY = "not root and not long and not sandbox and not flight and not system"
+_ORDINARY = "not root and not long and not nightly and not sandbox and not flight and not system"
 
 
 class Notes(msgspec.Struct):

@@ -154,6 +154,25 @@ def test_the_first_in_line_is_decided_for_the_drone_where_the_policy_says_so() -
     assert not any(place.on_drone for place in field.lanes.line)
 
 
+def test_the_end_of_a_part_before_sending_frees_the_servers_lane_for_the_next_call() -> None:
+    field = line(value(1.0), decisions=[replace(RACED, inputs=LESS.inputs), REMOTE], drone_s=1.0)
+    field.reduced = (5.0, 60, "")
+    field.make()
+    field.runs(101.0)
+    field.lanes.hold("another", "local", 0.0)
+    field.make()
+    field.runs()
+    assert field.ran == ["drone from 0", "s1 from 5"]
+
+
+def test_a_call_that_leaves_the_line_to_wait_for_a_check_is_news_for_the_others() -> None:
+    field = line(decisions=[LOCAL, Wait("s1", 4.0, "soon")])
+    field.make()
+    asked = len(field.began_s)
+    field.make()
+    assert len(field.began_s) > asked, "whether a server overtakes the drone"
+
+
 def test_a_call_that_is_given_up_in_line_is_never_decided() -> None:
     field = line(lane=None)
     call = field.make()
@@ -409,12 +428,23 @@ def test_waiting_requests_may_need_all_of_their_memory(most_bytes: int, ended: i
     assert len(field.ends) == ended
 
 
+def test_a_call_on_servers_alone_is_sent_to_one_at_a_time() -> None:
+    known = {(name, OPERATION): [0.5] * 200 for name in ("s1", "s2")}
+    field = patient(
+        value(9.0), second_server="s2", deadlines=Deadlines({OPERATION: Deadline(2.05, 0.999)}, known)
+    )
+    field.make(PATIENT)
+    field.runs(105.0)
+    assert field.ran == ["s1 from 0"] and field.seconds == []
+
+
 def test_an_exception_is_logged_as_a_failure_where_the_drone_cannot_test_it() -> None:
     field = patient(value(raised=SAID), value())
     field.answer(REMOTE, asked=PATIENT)
     why = f"s1 says that gripper.look raised {SAID}"
     assert of(field.told, schema.RemoteFailed) == [schema.RemoteFailed(server="s1", check=CHECK, why=why)]
     assert len(of(field.told, schema.Decided)) == 2
+    assert field.asked == [(False, False)] * 2, "not for the drone"
 
 
 @pytest.mark.parametrize(("whole_s", "less_s", "longer"), [(1.0, 0.8, 1.25), (2.0, 0.5, 4.0)])

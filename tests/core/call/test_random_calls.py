@@ -32,26 +32,23 @@ from upwash.eventlog.schema import Event
 OF_ANOTHER_SERVICE = Operation("counter", "count")
 LIGHTER = Lightened(LIGHT, OPERATION, 900.0, 800.0)
 LESS = replace(REMOTE, inputs=Inputs(whole_s=1.0, less_s=0.8))
+LESS_RACED = replace(RACED, inputs=LESS.inputs)
+LONG = replace(RACED, deadline_s=60.0)
 WAIT = Wait("s1", 4.0, "soon")
 SAID = "builtins.LookupError: nothing"
+MOST_OPEN = 5  # calls
 MOST_LOOKS = 100  # in a row
 MOST_ENDS = 500  # of work, until all calls are over
 AT_ONCE_S = 0.001  # before its deadline the search for a better answer ends
 
-asked_calls = st.builds(
-    steps.Asked,
-    st.sampled_from([OPERATION, BY_A_DEADLINE, TWICE, OF_ANOTHER_SERVICE]),
-    size_bytes=st.just(lambda _: 100),
-    urgent=st.booleans(),
-    once=st.sampled_from([False, False, False, True]),
-) | st.builds(
-    steps.Asked,
-    st.just(ON_SERVERS),
-    size_bytes=st.just(lambda _: 100),
-    on_servers=st.just(True),
-    within_s=st.sampled_from([None, 30.0]),
+kinds = st.sampled_from(
+    [
+        *[steps.Asked(operation) for operation in (OPERATION, BY_A_DEADLINE, TWICE) for _ in range(3)],
+        *[steps.Asked(OPERATION, once=True), steps.Asked(OF_ANOTHER_SERVICE)],
+        *[steps.Asked(ON_SERVERS, on_servers=True, within_s=within_s) for within_s in (None, 30.0)],
+    ]
 )
-decisions = st.sampled_from([LOCAL, REMOTE, RACED, LESS, WAIT])
+decisions = st.sampled_from([LOCAL, REMOTE, RACED, LONG, LESS, LESS_RACED, WAIT])
 changes = st.sampled_from(  # of `World`
     [
         *(("decision", each) for each in (LOCAL, REMOTE, LESS)),
@@ -90,17 +87,19 @@ class RandomCalls(RuleBasedStateMachine):
 
     # --- what happens ---------------------------------------------------------------------------------------
 
+    @precondition(lambda self: self.open)
     @rule(change=changes)
     def selection_changes(self, change: tuple[str, Any]) -> None:
         setattr(self.world, *change)
         self.tell(events.Tick())
 
-    @precondition(lambda self: self.first is not None or not self.open)
-    @rule(asked=asked_calls, decision=st.none() | decisions, waits=st.sampled_from([False, False, True]))
-    def mission_calls(self, asked: steps.Asked, decision: Any, *, waits: bool) -> None:
-        self.world.decision = decision or self.world.decision
-        self.world.is_checked = False
-        call = Call(structs.replace(asked, waypoint=len(self.stories)), is_waited_for=waits)
+    @precondition(lambda self: len(self.open) < (1 if self.first is None else MOST_OPEN))
+    @rule(kind=kinds, decision=decisions, urgent=st.booleans(), waits=st.booleans())
+    def mission_calls(self, kind: steps.Asked, decision: Any, *, urgent: bool, waits: bool) -> None:
+        self.world.decision, self.world.is_checked, number = decision, False, len(self.stories)
+        asked = structs.replace(kind, waypoint=number, urgent=urgent, size_bytes=lambda _: 100)
+        waits &= not kind.on_servers or number % 3 == 0
+        call = Call(asked, is_waited_for=waits)
         self.stories[call] = Story(asked, self.world.now_s, waits=waits)
         self.tell(steps.Made(call))
 
@@ -125,7 +124,8 @@ class RandomCalls(RuleBasedStateMachine):
                 self.time_passes(0.0, looks=True)
                 assert not self.calls.waiting
 
-    @rule(step_s=st.sampled_from([0.0, 0.5, 0.5, 1.5, 5.0, 30.0]), looks=st.booleans())
+    @precondition(lambda self: self.open or self.under_way)
+    @rule(step_s=st.sampled_from([0.0, *[0.5, 1.5] * 3, 5.0, 20.0]), looks=st.booleans())
     def time_passes(self, step_s: float, *, looks: bool) -> None:
         """The clock goes to that time; what is due at the end of it may come after the next event."""
         self.look()
@@ -419,6 +419,6 @@ class ManyRandomCalls(RandomCalls):
 
 
 TestRandomCalls = RandomCalls.TestCase
-TestRandomCalls.settings = settings(max_examples=150, stateful_step_count=50)
+TestRandomCalls.settings = settings(max_examples=250, stateful_step_count=50)
 TestManyRandomCalls = pytest.mark.nightly(ManyRandomCalls.TestCase)
 TestManyRandomCalls.settings = settings(max_examples=1000, stateful_step_count=50)

@@ -92,7 +92,7 @@ class World(Field):
             return LOCAL
         if self.lanes.has_line and not self.lanes.is_free(ON_DRONE) and operation != ON_SERVERS:
             return REMOTE
-        return REMOTE if operation == ON_SERVERS and decision is RACED else decision
+        return REMOTE if operation == ON_SERVERS and getattr(decision, "raced", False) else decision
 
     def is_awaited(self, check: int) -> bool:
         assert check == CHECK
