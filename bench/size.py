@@ -1,4 +1,4 @@
-"""How large the house is: the lines of each room, of tests and of benches. Run `python -m bench.size [--against DIR]`."""
+"""How large the house is, in lines of each room, tests and benches. Run `python -m bench.size [--against DIR]`."""
 
 from __future__ import annotations
 

@@ -305,7 +305,7 @@ class Offloading:
         if self._news is not None:
             self._news.set()
             self._news = None
-        if self._calls.are_open and self._look_due is None:
+        if self._look_due is None and self._calls.await_news:
             self._look_due = asyncio.get_running_loop().call_soon(self._look_at_calls)
 
     def _look_at_calls(self) -> None:
@@ -314,7 +314,7 @@ class Offloading:
 
     def _set_alarm(self) -> None:
         """Look at the calls when the next of their times is over."""
-        due_s = self._calls.due_s if self._calls.are_open else math.inf
+        due_s = self._calls.due_s
         if self._alarm is not None:
             if self._alarm.when() == due_s:
                 return
@@ -382,24 +382,24 @@ class Offloading:
     def _work(self, work: Work, doing: Callable[[], Coroutine[Any, Any, CallEvent]]) -> None:
         """Do it beside the mission, and tell the core what has come of it."""
         opened = self._open[work.call]
+        opened.tasks[work] = begin(self._do(work, doing, opened))
 
-        async def do() -> None:
-            try:
-                event = await doing()
-            except Exception as error:  # noqa: BLE001 - whatever it is, the drone flies on
-                self._fail(error)
-                return
+    async def _do(
+        self, work: Work, doing: Callable[[], Coroutine[Any, Any, CallEvent]], opened: _Open
+    ) -> None:
+        this = asyncio.current_task()
+        try:
+            event = await doing()
+        except Exception as error:  # noqa: BLE001 - whatever it is, the drone flies on
+            self._fail(error)
+        else:
             self.tell(event)
             if self._failed and isinstance(work, Computing):
                 self._end_alone(work, opened)
-
-        def ended(task: asyncio.Task[None]) -> None:
-            if opened.tasks.get(work) is task:
+        finally:
+            if opened.tasks.get(work) is this:  # else the part before sending has ended, and it is sent
                 del opened.tasks[work]
             self._forget(work.call)
-
-        task = opened.tasks[work] = begin(do())
-        task.add_done_callback(ended)
 
     def _forget(self, call: Call) -> None:
         """Forget a call that is over, once nothing goes on for it."""

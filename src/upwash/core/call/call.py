@@ -72,6 +72,11 @@ class Call:
         """The times at which it must be looked at, some of them over."""
         return [self.check_until_s, *(self.manner.due_s if self.manner is not None else ())]
 
+    @property
+    def awaits_news(self) -> bool:
+        """Whether it waits for something that news may bring."""
+        return bool(self.check) or (self.manner is not None and self.manner.awaits_news)
+
     def look(self) -> None:
         """Do what is due now, or has become possible."""
         if not self.check:

@@ -147,9 +147,9 @@ class Calls:
         return min((due_s for due_s in times_s if due_s > self._looked_s), default=math.inf)
 
     @property
-    def are_open(self) -> bool:
-        """Whether any call is open."""
-        return bool(self._open)
+    def await_news(self) -> bool:
+        """Whether a call waits for something that news may bring: not for an answer, or a time, alone."""
+        return bool(self.lanes.line) or any(call.awaits_news for call in self._open)
 
     @property
     def waiting(self) -> list[OnServers]:

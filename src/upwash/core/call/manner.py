@@ -28,6 +28,11 @@ class Manner:
         return False
 
     @property
+    def awaits_news(self) -> bool:
+        """Whether it waits for something that news may bring: not for an answer, or a time, alone."""
+        return False
+
+    @property
     def due_s(self) -> list[float]:
         """The times at which it must look, some of them over."""
         return []

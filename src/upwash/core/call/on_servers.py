@@ -42,6 +42,11 @@ class OnServers(Manner):
         self.calls.tell(CallWaits(call.asked.operation))
 
     @property
+    def awaits_news(self) -> bool:
+        """Whether it goes into the line again when something happens."""
+        return self._again_after is not None
+
+    @property
     def due_s(self) -> list[float]:
         """When it ends, or goes into the line again."""
         return [self._limit_s, self._again_s]

@@ -41,6 +41,14 @@ class Single(Manner):
         self._overtake_s = math.inf  # when a server may be of use, unless something changes before
 
     @property
+    def awaits_news(self) -> bool:
+        """Whether the drone may be overtaken, or join the call once its lane is free."""
+        own = self.call.own
+        if own is None:
+            return self.calls.now_s >= self._own_at_s
+        return own.is_open and not self.call.open_tries
+
+    @property
     def due_s(self) -> list[float]:
         """When the drone or a second server joins the call, or a server may overtake the drone."""
         return [self._own_at_s if self.call.own is None else self._overtake_s, self._second_at_s]

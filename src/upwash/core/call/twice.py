@@ -43,6 +43,11 @@ class Twice(Manner):
         return self._has_failed
 
     @property
+    def awaits_news(self) -> bool:
+        """Whether a server for the better answer may come."""
+        return not self._none_comes
+
+    @property
     def due_s(self) -> list[float]:
         """When the drone computes, and when no better answer counts any more."""
         return [

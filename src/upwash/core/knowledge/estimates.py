@@ -341,9 +341,13 @@ class Estimates:
 
     def next_forgetting_s(self, server: str, *, retry_s: float) -> float:
         """The time at which `forget_slow_calls` next changes an estimate; infinite if never."""
-        made = [item for item in self._servers[server].calls.items() if item[1].last_s < math.inf]
-        slow = (calls for each, calls in made if calls.slow_s is not None or self._is_known_slow(each, calls))
-        return min((calls.last_s + retry_s for calls in slow), default=math.inf)
+        next_s = math.inf
+        for operation, calls in self._servers[server].calls.items():
+            if calls.last_s + retry_s < next_s and (
+                calls.slow_s is not None or self._is_known_slow(operation, calls)
+            ):
+                next_s = calls.last_s + retry_s
+        return next_s
 
     def _is_known_slow(self, operation: Operation, calls: _Calls) -> bool:
         return self._is_slow(operation, self._sooner_s(operation, calls, calls.window.mean_s))
