@@ -854,6 +854,16 @@ def test_the_better_answers_of_a_server_come_in_the_order_of_the_line() -> None:
         assert places == numbers, order
 
 
+def test_a_call_that_needs_no_better_answer_holds_up_no_other() -> None:
+    field = Field(first="oldest", two=TWO, drone_s=5.0, decisions=[LOCAL], betters=[(None, True)])
+    calls = [field.make(steps.Asked(OPERATION, waypoint=number)) for number in range(2)]
+    field.runs(102.0)
+    field.betters = [(REMOTE, True)]
+    field.happens(steps.Enough(calls[0]))
+    field.happens(events.Tick())
+    assert [call.tries != [] for call in calls] == [False, True]
+
+
 def test_a_decision_that_leaves_a_server_has_servers_looked_at_again() -> None:
     left = schema.NoSlot(server="s1", check=1, waiting=1)
     field = Field(effects=[left])

@@ -379,8 +379,8 @@ class Calls:
         first = max if self.lanes.newest_first else min
         return bool(in_time) and first(in_time, key=lambda wanted: wanted.made_s) is call
 
-    def sends_better(self, call: Call) -> None:
-        """Note that the call is sent for its better answer."""
+    def wants_no_more(self, call: Call) -> None:
+        """Note that the call does not want a server for its better answer any more, or has one."""
         self._wanted.pop(call, None)
 
     # --- at servers -----------------------------------------------------------------------------------------

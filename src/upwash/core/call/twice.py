@@ -114,9 +114,10 @@ class Twice(Manner):
         is_decided = remote is not None and left_s > _MOMENT_S
         if remote is None or not is_decided or not (self._has_place or self._is_next(remote.server)):
             remote = self._sought(left_s)
+        if remote is not None or self._none_comes:
+            calls.wants_no_more(call)
         if remote is None:
             return
-        calls.sends_better(call)
         call.tries, call.winner = [], None
         has_place, self._has_place = self._has_place, False
         attempt = call.attempt(
