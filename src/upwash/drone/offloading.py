@@ -18,7 +18,7 @@ from types import MappingProxyType
 from typing import Any, Literal, NoReturn, TypeAlias, TypeVar
 
 from upwash.core.call import steps
-from upwash.core.call.attempts import Attempt, Computing
+from upwash.core.call.attempts import Attempt, Computing, hangs_after_s
 from upwash.core.call.call import Call
 from upwash.core.call.calls import Calls
 from upwash.core.call.steps import Asked, CallEvent, Instruction
@@ -59,7 +59,6 @@ from upwash.support.text import printable, worded
 
 T = TypeVar("T")
 Work: TypeAlias = Attempt | Computing
-_LOCAL_LEAST_S, _LOCAL_FACTOR = 30.0, 10.0  # times the estimate: a call on the drone that takes longer hangs
 
 
 class _Defect(Exception):
@@ -477,8 +476,7 @@ class Offloading:
         if under_way := [task for task, service in self._computations() if service == operation.service]:
             await asyncio.wait(under_way)
         async with self._alone[operation.service]:
-            began_s, expected_s = now_s(), self._selection.estimates.local_s(operation) or 0.0
-            timeout_s = max(_LOCAL_LEAST_S, _LOCAL_FACTOR * expected_s)
+            began_s, timeout_s = now_s(), hangs_after_s(self._selection.estimates.local_s(operation))
             reply = await self._onboard_reply(opened.method, operation, opened.request, timeout_s)
         self._log_alone(asked, operation, opened.made_s, began_s)
         return reply

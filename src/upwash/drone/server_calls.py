@@ -9,9 +9,8 @@ from collections.abc import Awaitable, Callable, Sequence
 from typing import Protocol
 
 from upwash.core.call import steps
+from upwash.core.call.on_servers import patience_s
 from upwash.core.operation import Operation
-
-_LEAST_S, _FACTOR = 10.0, 3.0  # times the expected delay: a server in range has that time for an answer
 
 
 class _Waiting(Protocol):
@@ -65,6 +64,6 @@ class ServerCalls:
                     if reach_s is None:
                         return
                     count = len(self.waiting)
-                    async with asyncio.timeout(max(_LEAST_S, _FACTOR * reach_s)):
+                    async with asyncio.timeout(patience_s(reach_s)):
                         while len(self.waiting) == count:
                             await self._happened()

@@ -12,7 +12,13 @@ from upwash.core.policies.policy import Inputs, Lightened
 if TYPE_CHECKING:
     from upwash.core.call.call import Call
 
+_LEAST_S, _FACTOR = 30.0, 10.0
 End: TypeAlias = Literal["answered", "raised", "queued", "failed"]
+
+
+def hangs_after_s(expected_s: float | None) -> float:
+    """The seconds after which the drone's own service hangs in a call: ten times its estimate, 30 s at least."""
+    return max(_LEAST_S, _FACTOR * (expected_s or 0.0))
 
 
 @dataclass(slots=True, eq=False)

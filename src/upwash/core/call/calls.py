@@ -22,7 +22,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from upwash.core.call import steps
-from upwash.core.call.attempts import Attempt, Computing
+from upwash.core.call.attempts import Attempt, Computing, hangs_after_s
 from upwash.core.call.call import Call
 from upwash.core.call.on_servers import OnServers
 from upwash.core.call.outcomes import Outcomes
@@ -43,7 +43,6 @@ _LEAST_S, _FACTOR = (
     10.0,
     3.0,
 )  # times the expected delay: a server in range has that time where the mission waits
-_LOCAL_LEAST_S, _LOCAL_FACTOR = 30.0, 10.0  # times the estimate: a local call that takes longer hangs
 _NAMES: Mapping[type[Decision], Literal["local", "remote", "wait"]] = {
     Local: "local",
     Remote: "remote",
@@ -416,8 +415,7 @@ class Calls:
 
     def _begin_computing(self, own: Computing) -> None:
         own.began_s = self.now_s
-        expected_s = self.estimates.local_s(own.operation) or 0.0
-        self.do(steps.Compute(own, max(_LOCAL_LEAST_S, _LOCAL_FACTOR * expected_s)))
+        self.do(steps.Compute(own, hangs_after_s(self.estimates.local_s(own.operation))))
 
     def end_own(self, own: Computing) -> None:
         """Note that the drone has computed; the next computation of the service begins."""

@@ -22,10 +22,12 @@ if TYPE_CHECKING:
     from upwash.core.call.call import Call
 
 _QUEUED_S = 1.0  # until a call goes where it was not begun
-_LEAST_S, _FACTOR = (
-    10.0,
-    3.0,
-)  # times the expected delay: a server in range has that time where the mission waits
+_LEAST_S, _FACTOR = 10.0, 3.0
+
+
+def patience_s(reach_s: float) -> float:
+    """The seconds that a server in range has where the mission waits: three times what is expected, 10 s at least."""
+    return max(_LEAST_S, _FACTOR * reach_s)
 
 
 class OnServers(Manner):
@@ -100,7 +102,7 @@ class OnServers(Manner):
         if reach_s is None:
             self.limit("no server in range can answer, and the mission waits")
         else:
-            limit_s = max(_LEAST_S, _FACTOR * reach_s * len(self.calls.waiting))
+            limit_s = patience_s(reach_s * len(self.calls.waiting))
             self.limit(f"no server in range answered within {limit_s:.0f} s", in_s=limit_s)
 
     def limit(self, why: str, *, in_s: float = 0.0) -> None:
