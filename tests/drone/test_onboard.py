@@ -265,6 +265,8 @@ def test_a_crash_with_the_shared_temporary_folder_empty_or_full_is_survived(
     services: Path, folder: str
 ) -> None:
     """In a mount namespace of its own, where `/tmp` has room for one page."""
+    if Path(sys.executable).is_relative_to("/tmp"):
+        pytest.skip("this checkout lies in /tmp, over which the test mounts another folder")
     program = [sys.executable, "-c", CRASHES, str(services), folder]
     script = 'mount -t tmpfs -o size=4096 none /tmp && exec "$@"'
     flown = subprocess.run(

@@ -83,7 +83,7 @@ def test_findings_are_reviewed_by_keyboard_alone(page: Browser, address: str, lo
     ]
     press(page, "u", "u", "u")
     page.wait_until(lambda: not any(each.is_reviewed for each in kept(log).everything))
-    assert page.text(".finds [aria-current] .number") == "4"
+    page.wait_until(lambda: page.text(".finds [aria-current] .number") == "4")
     assert page.violations() == []
     assert page.errors() == []
 
