@@ -132,11 +132,11 @@ class Field:
         return call
 
     def happens(self, event: Any) -> None:
-        """Tell the machine, and do what it says; look at the calls while there is news."""
+        """Tell the machine, and do what it says; look at the calls while they wait for the news."""
         news = self.calls.news
         for step in self.calls.handle(event, now_s=self.now_s, position=HERE):
             self._do(step)
-        if self.calls.news > news:
+        if self.calls.news > news and self.calls.await_news:
             self.happens(steps.News())
 
     def runs(self, until_s: float = math.inf) -> None:

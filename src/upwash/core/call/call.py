@@ -74,8 +74,10 @@ class Call:
 
     @property
     def awaits_news(self) -> bool:
-        """Whether it waits for something that news may bring."""
-        return bool(self.check) or (self.manner is not None and self.manner.awaits_news)
+        """Whether the call must be looked at after news: a time may have come, or what it waits for."""
+        if self.check or min(self.due_s) <= self.calls.now_s:
+            return True
+        return self.manner is not None and self.manner.awaits_news
 
     def look(self) -> None:
         """Do what is due now, or has become possible."""

@@ -42,11 +42,9 @@ class Single(Manner):
 
     @property
     def awaits_news(self) -> bool:
-        """Whether the drone may be overtaken, or join the call once its lane is free."""
+        """Whether a server may overtake the drone."""
         own = self.call.own
-        if own is None:
-            return self.calls.now_s >= self._own_at_s
-        return own.is_open and not self.call.open_tries
+        return own is not None and own.is_open and not self.call.open_tries
 
     @property
     def due_s(self) -> list[float]:
