@@ -19,6 +19,7 @@ from upwash.core.call import steps
 from upwash.core.call.calls import Calls
 from upwash.core.selection.events import LocalCallEnded, RemoteCallEnded
 from upwash.core.selection.selection import Selection
+from upwash.drone.offloading import Offloading
 from upwash.drone.server_session import ServerSession
 from upwash.eventlog.narration import Narrator
 from upwash.eventlog.reasons import explained_calls
@@ -190,6 +191,21 @@ def test_a_defect_of_offloading_has_nothing_run_a_second_time(tmp_path: Path, fa
     assert [message[1] for message in heard(run)] == [1, 2, 3, 4, 5]
     releases = [call for call in events(run, "call") if call["operation"] == "gripper.release"]
     assert len(releases) == 5 and {call["onboard_s"] for call in releases} == {LOCAL_S}
+
+
+def test_a_defect_in_a_call_on_the_drone_has_that_call_answered_all_the_same(tmp_path: Path) -> None:
+    reply, count = Offloading._onboard_reply, itertools.count()
+
+    async def fails(self: Offloading, *call: Any) -> Any:
+        found = await reply(self, *call)
+        if next(count) == 0:
+            raise ZeroDivisionError("a defect")
+        return found
+
+    with patch.object(Offloading, "_onboard_reply", fails):
+        run = fly(tmp_path, "looking", name="local-only")
+    assert heard(run) == HEARD
+    assert len(events(run, "offloading_failed")) == 1
 
 
 def test_what_runs_once_waits_for_a_service_that_is_busy_with_a_dropped_call(tmp_path: Path) -> None:

@@ -143,9 +143,8 @@ class Offloading:
         )
         self.server_calls = ServerCalls(self, self._happened, selection.estimates.alone_s) if first else None
         self._open: dict[Call, _Open] = {}  # with those whose losers go on
-        self._alone = defaultdict[str, asyncio.Lock](
-            asyncio.Lock
-        )  # calls of each service, where deciding has failed
+        # Of the calls of each service, where deciding has failed.
+        self._alone = defaultdict[str, asyncio.Lock](asyncio.Lock)
         self._news: asyncio.Event | None = None  # that something waits for
         self._look_due: asyncio.Handle | None = None
         self._alarm: asyncio.TimerHandle | None = None
@@ -381,24 +380,28 @@ class Offloading:
     def _work(self, work: Work, doing: Callable[[], Coroutine[Any, Any, CallEvent]]) -> None:
         """Do it beside the mission, and tell the core what has come of it."""
         opened = self._open[work.call]
-        opened.tasks[work] = begin(self._do(work, doing, opened))
+
+        def ended(task: asyncio.Task[None]) -> None:
+            if (
+                opened.tasks.get(work) is task
+            ):  # else the part before sending has ended, and the request is sent
+                del opened.tasks[work]
+            self._forget(work.call)
+
+        task = opened.tasks[work] = begin(self._do(work, doing, opened))
+        task.add_done_callback(ended)
 
     async def _do(
         self, work: Work, doing: Callable[[], Coroutine[Any, Any, CallEvent]], opened: _Open
     ) -> None:
-        this = asyncio.current_task()
         try:
-            event = await doing()
+            self.tell(await doing())
         except Exception as error:  # noqa: BLE001 - whatever it is, the drone flies on
+            # Only what must not run twice fails with it.
+            opened.replies[work] = error if work.call.asked.once else _Defect()
             self._fail(error)
-        else:
-            self.tell(event)
-            if self._failed and isinstance(work, Computing):
-                self._end_alone(work, opened)
-        finally:
-            if opened.tasks.get(work) is this:  # else the part before sending has ended, and it is sent
-                del opened.tasks[work]
-            self._forget(work.call)
+        if self._failed and isinstance(work, Computing):
+            self._end_alone(work, opened)
 
     def _forget(self, call: Call) -> None:
         """Forget a call that is over, once nothing goes on for it."""
@@ -540,9 +543,8 @@ class Offloading:
             computed = [work for work in opened.tasks if isinstance(work, Computing)]
             for work in opened.tasks.keys() - set(computed):
                 opened.tasks[work].cancel()
-            if (
-                not computed and not opened.answer.done()
-            ):  # else the drone's answer counts: it must not run twice
+            # Where the drone computes the call, that answer counts: the call must not run twice.
+            if not computed and not opened.answer.done():
                 opened.answer.set_exception(_Defect())
 
 
