@@ -864,6 +864,14 @@ def test_a_call_that_needs_no_better_answer_holds_up_no_other() -> None:
     assert [call.tries != [] for call in calls] == [False, True]
 
 
+def test_a_call_whose_turn_comes_at_its_deadline_has_the_first_answer_computed_at_once() -> None:
+    field = Field(first="oldest", lane=None, two=TWO, hedge=Hedge(2.0, 20.0), decisions=[REMOTE])
+    field.make()
+    field.now_s, field.lane = 120.0, "either"
+    field.happens(events.Tick())
+    assert field.ran == ["drone from 20"]
+
+
 def test_a_decision_that_leaves_a_server_has_servers_looked_at_again() -> None:
     left = schema.NoSlot(server="s1", check=1, waiting=1)
     field = Field(effects=[left])

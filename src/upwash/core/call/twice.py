@@ -67,7 +67,7 @@ class Twice(Manner):
                 hedge = calls.hedging.plan(decision, self._first, is_busy=False)
                 self._own_at_s = calls.now_s + (hedge.after_s if hedge else decision.deadline_s)
         self._seek()
-        if self._own_at_s == math.inf:
+        if self._own_at_s == math.inf or self._none_comes:
             call.compute(self._first)
 
     def look(self) -> None:
