@@ -18,7 +18,7 @@ from upwash.core.call.single import Single
 from upwash.core.call.steps import Asked
 from upwash.core.call.twice import Twice
 from upwash.core.operation import ON_DRONE, Operation, name_of
-from upwash.core.policies.policy import Decision, Lightened, Local, Remote, Wait
+from upwash.core.policies.policy import Decision, Lightened, Remote, Wait
 from upwash.eventlog import schema
 
 if TYPE_CHECKING:
@@ -91,15 +91,10 @@ class Call:
 
     def decide(self, *, on_drone: bool = False, drone_is_busy: bool = False) -> None:
         """Decide where the call runs, now that its turn has come, and begin the first attempts."""
-        if self.decision is not None and isinstance(self.manner, Single):
+        if self.manner is not None and self.manner.is_decided:
             self.manner.turn()
             return
         self.decided_s = self.calls.now_s
-        if isinstance(self.manner, Once):
-            self.why = "it runs once, and on the drone"
-            self.calls.take(self, None)
-            self.manner.begin(Local(self.why))
-            return
         decision = self.calls.decide(self, on_drone=on_drone, drone_is_busy=drone_is_busy)
         self.why, self.lightened = decision.why, decision.inputs.lightened
         if self.lightened is not None:

@@ -15,6 +15,7 @@ class Manner:
     """How one call is attempted, from its decision to its end."""
 
     may_wait = False  # for a check
+    is_decided = False  # so that its turn in line has nothing decided
     has_heard = False  # the mission, a first answer
     queued_s = 0.0  # for the drone, in place of a server that did not begin it
 
@@ -50,7 +51,7 @@ class Manner:
         """Go on after the drone's own computation, which has answered or failed."""
 
     def turn(self) -> None:
-        """Go on as a turn on the drone has come, which it went into the line for."""
+        """Go on, as a turn has come that has nothing decided."""
 
     def facts(self, source: Attempt | Computing) -> dict[str, Any]:
         """Facts of the call's log record, if that source has answered it."""
@@ -65,10 +66,14 @@ class Manner:
 
 
 class Once(Manner):
-    """A call that runs on the drone alone, whatever happens, and never again; nothing is learnt of it."""
+    """A call that runs on the drone alone, and one time only; nothing is learnt from it."""
 
-    def begin(self, decision: Decision) -> None:
-        """Compute it on the drone."""
+    is_decided = True
+
+    def turn(self) -> None:
+        """Compute the call on the drone."""
+        self.call.decided_s, self.call.why = self.calls.now_s, "it runs once, and on the drone"
+        self.calls.take(self.call, None)
         self.call.compute(self.call.operation)
 
     def computed(self, own: Computing) -> None:

@@ -73,11 +73,14 @@ class OnServers(Manner):
         """Put the call into the line again, unless the call itself is to blame."""
         if attempt.state == "queued":
             self._again_s = self.calls.now_s + _QUEUED_S
-        elif not attempt.raised or self._is_to_be_tried_again(attempt):
+        elif not attempt.raised or self._blames_no_call(attempt):
             self._enter_again()
 
-    def _is_to_be_tried_again(self, attempt: Attempt) -> bool:
-        """Whether the call goes into the line again after an exception: else it is over, or sent whole at once."""
+    def _blames_no_call(self, attempt: Attempt) -> bool:
+        """Blame the part, the server or the call for an exception; return whether the call waits for a server again.
+
+        The call is over if the call is to blame. After a smaller request the whole one may be sent at once.
+        """
         why = f"{attempt.server} says that {attempt.operation} raised {attempt.raised}"
         if attempt.sends_less:  # which may be the fault of what was sent
             self.calls.outcomes.part_failed(attempt.operation, why)

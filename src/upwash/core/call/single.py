@@ -53,7 +53,7 @@ class Single(Manner):
 
     def begin(self, decision: Decision) -> None:
         """Attempt the call at the decided place, and plan what joins it there."""
-        call, calls = self.call, self.calls
+        call, calls, self.is_decided = self.call, self.calls, True
         calls.take(call, decision)
         calls.hedging.called(call.operation)
         calls.deadlines.called(call.operation)

@@ -32,8 +32,9 @@ class Moment:
 
     def locate(self, position: Position, now_s: float) -> None:
         """Go on to that time and place, where nothing has happened yet."""
+        is_known = self.now_s == now_s and self.here is position
         self.now_s, self.here, self.effects = now_s, position, []
-        if self.table.locate(position, now_s) | self.estimates.locate(position):
+        if not is_known and (self.table.locate(position, now_s) | self.estimates.locate(position)):
             self.changed = True
 
     def do(self, effect: Effect) -> None:
