@@ -160,7 +160,7 @@ def file_notices(config: DroneConfig) -> list[str]:
 
 
 def altitudes_above_sea(mission: MissionConfig) -> FlightPlan | None:
-    """The mission's plan, if it counts altitudes from the sea; its home's altitude, if that is the mission's home."""
+    """The mission's plan, if the plan counts altitudes from the sea; with a home's altitude only for that home."""
     plan = mission.plan.plan if mission.plan is not None else None
     if plan is None or plan.above_sea_level is None:
         return None

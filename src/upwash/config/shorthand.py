@@ -90,7 +90,7 @@ def _with_film_from(table: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def is_file(path: Path) -> bool:
-    """Whether the path is one of a file; False for one that no file can have, such as a pipeline."""
+    """Whether a file has that path; False for a path that no file can have, such as a pipeline."""
     try:
         return path.is_file()
     except (OSError, ValueError):

@@ -63,7 +63,7 @@ class PlannedHome(Struct, frozen=True):
 
 
 def planned_home(mission: MissionConfig) -> PlannedHome:
-    """The home of the mission's plan; without a plan, or a home in it, one of which nothing is known."""
+    """The home of the mission's plan; an empty `PlannedHome` without a plan, or where the plan has no home."""
     plan = mission.plan.plan if mission.plan is not None else None
     if plan is None or not is_planned_home(mission, plan):
         return PlannedHome()

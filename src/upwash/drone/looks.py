@@ -19,7 +19,7 @@ _ROUNDING_S = 1e-6  # a look may be early by this, rather than late by a period
 class Looks:
     """Has the core consider servers again and again, until its tasks are cancelled.
 
-    `tick` does that; `next_look_s` returns the time before which nothing can have changed, unless something happens.
+    `tick` does that. Until `next_look_s` nothing changes without an event.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class Looks:
         self._alarm: asyncio.TimerHandle | None = None  # at the first look from then on
 
     async def look(self) -> NoReturn:
-        """Tick the core after each period in which its inputs can have changed, at once after a server was left."""
+        """Tick the core after each period that can have changed its inputs, and at once after a server was left."""
         self._is_looking = True
         try:
             while True:
@@ -76,7 +76,7 @@ class Looks:
                 self._tick(Tick())
 
     def set_alarm(self) -> None:
-        """Schedule the next tick at the end of the first period in which the core's inputs can have changed."""
+        """Schedule the next tick at the end of the first period that can have changed the core's inputs."""
         if not self._is_looking:
             return
         due_s = -math.inf if self._silent else self._next_look_s() - _ROUNDING_S

@@ -30,7 +30,7 @@ Act = Callable[[FoundObject], object]
 
 
 class ObjectAnswer(AnswerAction[T]):
-    """An answer for the user, and one act for each of its wanted objects: by default all, and nothing is told."""
+    """An answer with one act for each wanted object, by default for all, and perhaps a message for the user."""
 
     def __init__(
         self,

@@ -145,7 +145,7 @@ class Offloading:
         self._open: dict[Call, _Open] = {}  # with those whose losers go on
         # Of the calls of each service, where deciding has failed.
         self._alone = defaultdict[str, asyncio.Lock](asyncio.Lock)
-        self._news: asyncio.Event | None = None  # that something waits for
+        self._news: asyncio.Event | None = None  # of the core, where a coroutine waits for it
         self._look_due: asyncio.Handle | None = None
         self._alarm: asyncio.TimerHandle | None = None
         self._failed = ""  # by what defect

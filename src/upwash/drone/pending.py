@@ -90,7 +90,7 @@ class OpenCall:
 
     @property
     def failure(self) -> str:
-        """Why the call, if it is over, has no answer; "" if it has one."""
+        """Why the call is over without an answer; "" while it is open, and with an answer."""
         return why_failed(self.task) if self.task.done() else ""
 
     def wait(self) -> float:

@@ -32,7 +32,7 @@ _LATER = 2.0  # times what an answer is expected to take that the drone waits fo
 
 @dataclass(kw_only=True, eq=False)
 class Several(Settling):
-    """Settles several open answers in the order in which they come.
+    """Settles several open answers, each when it comes.
 
     `seeking` finds stops where servers answer. `servers` are the calls that only servers compute, None if the mission
     has no service of servers alone.

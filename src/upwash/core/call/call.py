@@ -1,6 +1,6 @@
 """The life of one call: its place, its attempts, and the one rule that accepts an answer.
 
-The first answer of an attempt ends the call, unless its manner knows of a better one that may still come (twice.py).
+The first answer ends the call, unless the manner knows that a better answer may still come (twice.py).
 Attempts that go on then are losers, whose answers are dropped. The manner says what is attempted when.
 """
 
@@ -69,12 +69,12 @@ class Call:
 
     @property
     def due_s(self) -> list[float]:
-        """The times at which it must be looked at, some of them over."""
+        """When the call must be looked at; some of these times are over."""
         return [self.check_until_s, *(self.manner.due_s if self.manner is not None else ())]
 
     @property
     def awaits_news(self) -> bool:
-        """Whether the call must be looked at after news: a time may have come, or what it waits for."""
+        """Whether the call must be looked at after news, as its time has come or the news may help it."""
         if self.check or min(self.due_s) <= self.calls.now_s:
             return True
         return self.manner is not None and self.manner.awaits_news

@@ -1,12 +1,11 @@
-"""All calls of one drone: the line in which they wait, the drone's own computer, and what is learnt of servers.
+"""All calls of one drone: the line of calls, the lanes of places, and the drone's own computer.
 
-    in line         where several calls may be open. The oldest is first, or the newest, as configured; a call that
-                    the mission waits for is before all others, and one that only servers compute before those that
-                    the drone could compute
-    its place       the policy chooses it. By default a free place takes the first call that it would answer before
-                    the other place gets to it (core/planning/earliest.py). The drone takes a call that runs once
-    decided         once its place is free; then the next call is decided
-    on the drone    the computations of a service run one after the other
+    in line         Several calls may be open. The oldest is first, or the newest, as configured. Calls that the
+                    mission waits for come before all others. Then come the calls that only servers compute.
+    its place       The policy chooses the place of a call. By default a free place takes the first call that it would
+                    answer before the other place (core/planning/earliest.py). A call that runs once is the drone's.
+    decided         A call is decided once its place is free. Then the next call is decided.
+    on the drone    The computations of a service run one after the other.
 
 A call holds the lane of its place from the decision until its answer, wherever it is computed in the end. Each other
 attempt at it holds the lane of its own place too (core/selection/lanes.py).
@@ -78,9 +77,9 @@ class Calls:
         self.lanes.newest_first, self.lanes.has_line = first == "newest", first is not None
         self.outcomes = Outcomes(self)
         self.now_s, self.here = 0.0, Position(0.0, 0.0)
-        self.news = 0  # how often something has changed that calls may wait for
+        self.news = 0  # how many changes there were for calls that wait
         self.happened = 0  # how many events were taken in, and calls have ended
-        self.told = 0  # how often the selection has learnt or decided something
+        self.told = 0  # how many events and decisions the selection has had
         self._waiting_bytes = waiting_bytes
         self._looked_s = -math.inf
         self._out: list[Instruction] = []
@@ -139,7 +138,7 @@ class Calls:
 
     @property
     def due_s(self) -> float:
-        """When `News` must be handled, unless something happens before; over, if an event came first at that time."""
+        """When `News` must be handled, unless an event comes before; over if an event came first at that time."""
         times_s = [due_s for call in self._open for due_s in call.due_s]
         if self._unused_since_s is not None:
             times_s.append(self._unused_since_s + LONGEST_UNUSED_S)
@@ -147,7 +146,7 @@ class Calls:
 
     @property
     def await_news(self) -> bool:
-        """Whether a call waits for something that news may bring: not for an answer, or a time, alone."""
+        """Whether news may help a call: a call that waits for an answer or for a time needs no news."""
         return bool(self.lanes.line) or any(call.awaits_news for call in self._open)
 
     @property
@@ -157,7 +156,7 @@ class Calls:
 
     @property
     def is_busy(self) -> bool:
-        """Whether the drone, or what is left of an answered call, computes something."""
+        """Whether the drone computes, or a loser goes on."""
         return bool(self._losers) or not self.lanes.is_free(ON_DRONE)
 
     # --- out ------------------------------------------------------------------------------------------------
@@ -350,7 +349,7 @@ class Calls:
         return decision
 
     def second_after_s(self, operation: Operation, server: str) -> float:
-        """The seconds after which a second server gets a call that this one has not answered; infinite for none."""
+        """The seconds after which a second server gets an open call of this server; infinite if none does."""
         if self.deadlines.within_s(operation) is None:
             return math.inf
         second = self.placement.second(operation, server, begins=False)

@@ -30,12 +30,12 @@ class Manner:
 
     @property
     def awaits_news(self) -> bool:
-        """Whether it waits for something that news may bring: not for an answer, or a time, alone."""
+        """Whether news may help the call: a call that waits for an answer or for a time needs no news."""
         return False
 
     @property
     def due_s(self) -> list[float]:
-        """The times at which it must look, some of them over."""
+        """When the call must be looked at; some of these times are over."""
         return []
 
     def begin(self, decision: Decision) -> None:

@@ -1,7 +1,8 @@
 """Calls that only servers compute: each waits in line for a server, and ends once.
 
-    answered      by a server that is ready in range; after a failure there it is in line again, at its old place
-    unanswered    at its deadline, at the bound of memory, when a service raised twice, or when the flight is over
+    answered      A server that is ready in range has answered. After a failure the call is in line again, at its old
+                  place.
+    unanswered    The deadline, the bound of memory or the end of the flight has come, or the service raised twice.
 
 A reported exception blames the server at first. A second report, of any server, blames the call, which ends.
 """
@@ -45,7 +46,7 @@ class OnServers(Manner):
 
     @property
     def awaits_news(self) -> bool:
-        """Whether it goes into the line again when something happens."""
+        """Whether the next event puts the call into the line again."""
         return self._again_after is not None
 
     @property
@@ -70,7 +71,7 @@ class OnServers(Manner):
             self._enter_again()
 
     def tried(self, attempt: Attempt) -> None:
-        """Put the call into the line again, unless the call itself is to blame."""
+        """Put the call into the line again, unless the exception was the call's own."""
         if attempt.state == "queued":
             self._again_s = self.calls.now_s + _QUEUED_S
         elif not attempt.raised or self._blames_no_call(attempt):
@@ -79,7 +80,7 @@ class OnServers(Manner):
     def _blames_no_call(self, attempt: Attempt) -> bool:
         """Blame the part, the server or the call for an exception; return whether the call waits for a server again.
 
-        The call is over if the call is to blame. After a smaller request the whole one may be sent at once.
+        The call is over if the exception was its own. After a smaller request the whole request may be sent at once.
         """
         why = f"{attempt.server} says that {attempt.operation} raised {attempt.raised}"
         if attempt.sends_less:  # which may be the fault of what was sent

@@ -1,7 +1,7 @@
-"""What attempts at servers teach: the selection, hedging, deadlines and the log are told of each outcome.
+"""What attempts at servers teach: the selection, hedging, deadlines and the log get each outcome.
 
-A server's exception is tested by the drone's own service, where that computes the same call: an exception of the call
-itself counts as an answer, another as a failure of the server.
+Where the drone computes the same call, its own service tests an exception that a server reports. An exception of the
+call itself counts as an answer. Any other exception is a failure of the server.
 """
 
 from __future__ import annotations
@@ -139,13 +139,13 @@ class Outcomes:
             )
 
     def part_failed(self, operation: Operation, why: str) -> None:
-        """Note that the part before sending failed, or is to blame."""
+        """Note that the part before sending failed, or may have caused an exception."""
         self._calls.tell(events.PartFailed(operation.service))
         again = self._calls.estimates.tries_part(operation.service)
         self._calls.do(schema.SentWhole(operation=str(operation), why=why, given_up=not again))
 
     def _doubt(self, attempt: Attempt) -> None:
-        """Log the exception; the mission only gets exceptions of the drone's own service, where there is one."""
+        """Log the exception. The mission gets exceptions of the drone's own service alone."""
         call, operation = attempt.call, attempt.operation
         why = f"{attempt.server} says that {operation} raised {attempt.raised}"
         if call.asked.on_servers:  # the drone cannot test it

@@ -1,11 +1,10 @@
-"""Calls with one answer: on the drone, at a server, or at several places, of which the first answer counts.
+"""Calls with one answer: the drone, a server, or several places compute the call, and the first answer counts.
 
-local       on the drone; a server that becomes READY before the drone is done gets the call too
-remote      at a server; on the drone once that has failed
-hedged      at a server; on the drone too, where the server is late (core/selection/hedging.py)
-raced       at a server on trial and on the drone, at once
-seconded    by a deadline, at a second server too, where the first is late or has failed
-            (core/selection/deadlines.py)
+local       The drone computes. A server that becomes READY meanwhile gets the call too.
+remote      A server computes, and the drone once the server has failed.
+hedged      A server computes. The drone joins a late server (core/selection/hedging.py).
+raced       A server on trial and the drone compute at once.
+seconded    A second server joins a late server by a deadline (core/selection/deadlines.py).
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ class Single(Manner):
         self._hedge: Hedge | None = None
         self._own_at_s = math.inf
         self._is_overtaken = False
-        self._overtake_s = math.inf  # when a server may be of use, unless something changes before
+        self._overtake_s = math.inf  # when a server may be of use, unless an event comes before
 
     @property
     def awaits_news(self) -> bool:

@@ -117,7 +117,7 @@ class EndWaiting(Struct, frozen=True):
 
 
 class News(Struct, frozen=True):
-    """Time has passed, or something has changed: each call is looked at."""
+    """Each call is looked at, as time has passed or an event has come."""
 
 
 MissionEvent: TypeAlias = Made | Waited | Enough | Abandoned | EndWaiting
@@ -148,7 +148,7 @@ class Compute(Struct, frozen=True):
 
 
 class Stop(Struct, frozen=True):
-    """Drop this work, whose answer nobody needs."""
+    """Drop this work; the mission needs no answer of it."""
 
     work: Attempt | Computing
 

@@ -1,7 +1,7 @@
 """Calls with two answers: the drone computes the first, which the mission hears at once; a better one may come.
 
-The drone computes at once, or where the server that is READY is late. A server's answer by the deadline is better,
-from whichever server that becomes READY. The call is over with the better answer, or once none can come any more.
+The drone computes at once, or later where a server is READY and not late. An answer by the deadline of any server is
+better. The call is over with the better answer, or once no better answer can come.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ class Twice(Manner):
         return self.calls.is_next(self.call, server, self._by_s)
 
     def facts(self, source: Attempt | Computing) -> dict[str, Any]:
-        """When the first answer came, and what was asked for if it counts."""
+        """When the first answer came, and the call's own operation if the first answer counts."""
         facts: dict[str, Any] = {"first_s": self._first_s}
         if isinstance(source, Computing):
             return facts | {"asked": str(self.call.operation)}

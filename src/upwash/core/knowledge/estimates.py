@@ -79,7 +79,7 @@ class _Calls:
     offline_s: float
     way: BothWays | None  # how less is sent; None if all is sent whole
     window: Window
-    slow_s: float | None = None  # the last one, if it was slow and stays out of the mean
+    slow_s: float | None = None  # of the last call, where the call was slow and stays out of the mean
     last_s: float = math.inf  # when the last one ended
 
 

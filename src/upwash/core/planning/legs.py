@@ -1,4 +1,4 @@
-"""How long a vehicle takes from one waypoint to the next, where it is meanwhile, and when it is in a range.
+"""How long a vehicle takes from waypoint to waypoint, its place meanwhile, and its way through ranges.
 
 Legs are straight and flown from rest to rest: the vehicle speeds up steadily, cruises, brakes as it sped up, and
 settles at its target. `Pace` has the averages of each kind of vehicle; `energy.WayHome` has the longest times.

@@ -95,7 +95,7 @@ class PlannedLeg(Struct, frozen=True):
 class _Way(Struct, frozen=True):
     """A coming leg with the hold at its end, and when it enters the range of each server in range there.
 
-    None for a range in which it begins.
+    The time is None where the leg begins in the range.
     """
 
     duration_s: float

@@ -120,7 +120,7 @@ class _Flight:
         self._answering = Answering(
             mission.local_s, mission.servers, gain_switch=mission.gain_switch, newest=mission.newest
         )
-        self._gives_answers = mission.local_s < math.inf  # for which it waits then
+        self._gives_answers = mission.local_s < math.inf  # so that the drone may wait for its own answers
         self._here = mission.start
         self._motion: Motion | None = None
         self._open: set[int] = set()

@@ -90,7 +90,7 @@ class CallPlacement(Part):
 
     @property
     def _ready(self) -> Server | None:
-        """The server in use, if it is READY and in range."""
+        """The server in use; None unless that server is READY and in range."""
         server = self._radios.in_use
         is_ready = server is not None and server.in_range and server.state is State.READY
         return server if is_ready else None

@@ -29,7 +29,7 @@ class MissionBegun(SelectionEvent, frozen=True):
 
 
 class RadioEvent(SelectionEvent, frozen=True):
-    """The base of what is reported of a server that was asked; `check` is the number of its check or probe."""
+    """The base of a radio's reports on a server; `check` is the number of the check or probe."""
 
     check: int
 
@@ -81,7 +81,7 @@ class ServerUnusable(RadioEvent, frozen=True):
 
 
 class ProbeAnswered(RadioEvent, frozen=True):
-    """A failed server answered a probe, and so did its running services; `running` if all services run."""
+    """A failed server and its running services answered a probe; `running` if all services run."""
 
     running: bool
 

@@ -58,7 +58,7 @@ class MissionTimes(Part):
     def judge(self, operation: Operation, *, on_drone: bool = False) -> Lightened | None:
         """The lighter operation of a call that is made now; None if it runs as asked for.
 
-        Tell the planning's model of the call first. With `on_drone` the call runs there, whatever the policy says.
+        Tell the planning's model of the call first. With `on_drone` the drone computes the call.
         """
         settings, now_s = self._settings.lighter, self._now_s
         if settings is None or self._begun_s is None or operation not in settings.operations:

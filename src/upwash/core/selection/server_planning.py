@@ -273,7 +273,7 @@ class ServerPlanning(Part):
         )
 
     def is_worth_a_slot(self, server: Server) -> bool:
-        """Whether the drone may take a slot there: it gains enough, or nobody else waits for one."""
+        """Whether the drone may take a slot there: the drone gains enough, or no other drone waits."""
         if not server.is_contended(self._now_s):
             return True
         local_s = self._estimates.mean_call_s()
