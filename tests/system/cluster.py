@@ -33,8 +33,16 @@ cluster: {{enabled: true, server_name: {name}, server_address: "{address}:{port}
 class Site:
     """A network of /21, of which members have the first part and services another."""
 
-    bridge: str
-    subnet: int  # 10.147.SUBNET.0
+    number: int
+
+    @property
+    def bridge(self) -> str:
+        return f"upwash-c{self.number}"
+
+    @property
+    def subnet(self) -> int:
+        """The third part of the network's address, 10.147.SUBNET.0."""
+        return 80 + 8 * self.number
 
     @property
     def services(self) -> str:
@@ -59,7 +67,7 @@ class Words:
     folder: str
 
 
-_SITES = {"lxd": Site("upwash-c0", 80), "incus": Site("upwash-c1", 88)}
+_MAX_SITES = 16
 _WORDS = {
     "lxd": Words("lxd", "lxd", "lxc", "add", "/var/lib/lxd"),
     "incus": Words("/usr/libexec/incus/incusd", "incus admin", "incus", "add-certificate", "/var/lib/incus"),
@@ -98,8 +106,7 @@ class OwnCluster:
 @contextlib.contextmanager
 def own_cluster(engine: OwnEngine) -> Iterator[OwnCluster]:
     """Three members of a fresh cluster, until the end of the block."""
-    site = _SITES[engine.kind]
-    with _bridge(site), tempfile.TemporaryDirectory(prefix="upwash-cluster-") as name:
+    with _own_site() as site, tempfile.TemporaryDirectory(prefix="upwash-cluster-") as name:
         folder = Path(name)
         engine.command("image", "import", str(write_computer_image(folder)), "--alias", "member")
         try:
@@ -116,14 +123,22 @@ def own_cluster(engine: OwnEngine) -> Iterator[OwnCluster]:
 
 
 @contextlib.contextmanager
-def _bridge(site: Site) -> Iterator[None]:
-    subprocess.run(("ip", "link", "add", site.bridge, "type", "bridge"), check=True)
+def _own_site() -> Iterator[Site]:
+    """The first one whose bridge no other run of the tests has, or left behind."""
+    site = next(site for site in map(Site, range(_MAX_SITES)) if _added(site.bridge))
     try:
         subprocess.run(("ip", "address", "add", f"{site.bridge_address}/21", "dev", site.bridge), check=True)
         subprocess.run(("ip", "link", "set", site.bridge, "up"), check=True)
-        yield
+        yield site
     finally:
         subprocess.run(("ip", "link", "delete", site.bridge), check=False)
+
+
+def _added(bridge: str) -> bool:
+    added = subprocess.run(
+        ("ip", "link", "add", bridge, "type", "bridge"), stderr=subprocess.DEVNULL, check=False
+    )
+    return added.returncode == 0
 
 
 def _launch(engine: OwnEngine, site: Site, member: str) -> None:
