@@ -246,7 +246,7 @@ def test_a_deadline_that_no_server_keeps_is_told_before_take_off_and_in_the_repo
     found = check(read_plan(file), seeds=1, fly=here)
     assert [warning.kind for warning in found.warnings] == ["no-better-answer"]
     run = simulate(read_plan(file).config)
-    notices = NoticesTaken(0.0)
+    notices = NoticesTaken()
     for event in run.events:
-        notices.take(event)
+        notices.take(event, event.t)
     assert "within 3 s, the fastest takes 4 s" in " ".join(notices.notices(run.result).cautions)

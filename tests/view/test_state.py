@@ -10,7 +10,7 @@ from tests.events import event
 from upwash.eventlog.schema import Event
 from upwash.view import facts
 from upwash.view.facts import Fact
-from upwash.view.story import Story
+from upwash.view.news import News
 
 FLIES = [
     event("mission_started", 2.0, policy="location-aware", waypoints=2),
@@ -26,7 +26,7 @@ LOITER = event(
 
 
 def told(events: Sequence[Event]) -> list[Fact]:
-    story = Story(lambda _: False)
+    story = News(lambda _: False)
     return [fact for event in events for fact in story.take(event)]
 
 

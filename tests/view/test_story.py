@@ -20,7 +20,7 @@ from upwash.lab.run import simulate
 from upwash.report.record import Record, read_records
 from upwash.view import facts
 from upwash.view.facts import Fact
-from upwash.view.story import Story
+from upwash.view.news import News
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 HERE = {"east_m": 3.0, "north_m": 4.0, "altitude_m": 20.0}
@@ -48,7 +48,7 @@ def record(log: Path) -> Record:
 
 
 def tell(events: Iterable[Event]) -> list[Fact]:
-    story = Story(lambda source: source.startswith("park"))
+    story = News(lambda source: source.startswith("park"))
     return [fact for event in events for fact in story.take(event)]
 
 

@@ -199,13 +199,13 @@ def read_result(events: Iterable[Event]) -> RunResult:
 
 
 class Tally:
-    """The result of one run, gathered event by event; it keeps no event."""
+    """The result of one run, gathered event by event; it keeps no event. `whereabouts` has the waypoints of calls."""
 
     def __init__(self) -> None:
         self.completed = False
         self._policy, self._ended_s = "", 0.0
         self._began = MissionTime()
-        self._whereabouts = CallPlaces()
+        self.whereabouts = CallPlaces()
         self._calls: list[CallResult] = []
         self._waypoints, self._reached, self._left_hovering = 0, set[int | None](), False
         self._waits: list[str] = []
@@ -225,7 +225,7 @@ class Tally:
         if type(event) not in _COUNTED:
             return
         self._began.take(event)
-        self._whereabouts.take(event)
+        self.whereabouts.take(event)
         self._open.take(event)
         match event:
             case schema.MissionStarted():
@@ -250,15 +250,15 @@ class Tally:
             case schema.Seconded():
                 self._second_servers += 1
             case schema.Decided():
-                self._calling = {self._whereabouts.of_call_under_way}
+                self._calling = {self.whereabouts.of_call_under_way}
             case schema.Unanswered(why=why):
                 self._unanswered.setdefault(why, []).append(event.waypoint)
             case schema.Call():
                 self._calling = set()
-                self._calls.append(_call(event, self._whereabouts.of_call, self._began.at_s or 0.0))
+                self._calls.append(_call(event, self.whereabouts.of_call, self._began.at_s or 0.0))
                 self._waits += [event.wait] if event.wait else []
                 self._fallbacks += event.fell_back
-            case schema.AnswerTaken() if (number := self._whereabouts.answered) is not None:
+            case schema.AnswerTaken() if (number := self.whereabouts.answered) is not None:
                 self._calls[number] = _waited_for(self._calls[number], event.waited_s)
             case schema.StayOrGo() | schema.TurnedBack():
                 self._went_on += isinstance(event, schema.StayOrGo) and event.goes

@@ -60,8 +60,7 @@ class Notices:
 class NoticesTaken:
     """Gathers them event by event; what happened often is told once, with its number."""
 
-    def __init__(self, began_s: float) -> None:
-        self._began_s = began_s
+    def __init__(self) -> None:
         self._narrator = Narrator()
         self._urgent: dict[str, None] = {}  # in their order, each once
         self._troubles: dict[str, int] = {}
@@ -69,16 +68,16 @@ class NoticesTaken:
         self._lost_links, self._longest_silence_s = 0, 0.0
         self._has_end = False
 
-    def take(self, event: Event) -> None:
-        """Takes in the next event."""
+    def take(self, event: Event, at_s: float) -> None:
+        """Takes in the next event, of that second of the mission."""
         if type(event) in _PASSED_OVER:
             return
-        if (urgent := self._urgent_of(event)) is not None:
+        if (urgent := self._urgent_of(event, clock(at_s))) is not None:
             self._urgent[urgent] = None
             return
         match event:
             case schema.ServerStep(before=before, after=State.BLACKLISTED) if before is not State.BLACKLISTED:
-                self._blacklist(event)
+                self._blacklist(event, clock(at_s))
             case schema.LinkLost():
                 self._lost_links += 1
                 self._longest_silence_s = max(self._longest_silence_s, event.silent_s)
@@ -97,8 +96,7 @@ class NoticesTaken:
                 if said is not None and said.tone in {Tone.TROUBLE, Tone.ALARM}:
                     self._trouble(said.text)
 
-    def _urgent_of(self, event: Event) -> str | None:
-        at = clock(event.t - self._began_s)
+    def _urgent_of(self, event: Event, at: str) -> str | None:
         match event:
             case schema.LeftHovering():
                 return WAS_LEFT_HOVERING
@@ -121,10 +119,10 @@ class NoticesTaken:
                 self._has_end = False
         return None
 
-    def _blacklist(self, step: schema.ServerStep) -> None:
+    def _blacklist(self, step: schema.ServerStep, at: str) -> None:
         times, _ = self._blacklisted.get(step.server, (0, ""))
         why = step.why.removeprefix(f"{step.server}: ")
-        self._blacklisted[step.server] = (times + 1, f"at {clock(step.t - self._began_s)}: {why}")
+        self._blacklisted[step.server] = (times + 1, f"at {at}: {why}")
 
     def _trouble(self, text: str) -> None:
         if text in self._troubles or len(self._troubles) < _MOST_KINDS:

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 from upwash.eventlog import schema
 from upwash.eventlog.progress import clock
-from upwash.eventlog.results import RunResult, Tally, Totals
-from upwash.eventlog.schema import Event
+from upwash.eventlog.results import RunResult, Totals
 from upwash.support.text import counted
 
 _MINUTE_S = 60.0
@@ -28,33 +27,6 @@ class Outcome:
     def saved_s(self) -> float | None:
         """What offloading saved against the local delays measured; None where they are not known."""
         return self.result.saved_s()
-
-
-class OutcomeSoFar:
-    """Gathers the events of one run until its mission was completed, and keeps none of them."""
-
-    def __init__(self) -> None:
-        self._plan = UNPLANNED
-        self._world: tuple[str, int] | None = None
-        self._tally = Tally()
-
-    def take(self, event: Event) -> None:
-        """Takes in the next event."""
-        if self._tally.completed:
-            return
-        self._tally.take(event)
-        if type(event) is schema.Planned and self._plan is UNPLANNED:
-            self._plan = event
-        elif type(event) is schema.Simulated:
-            self._world = event.scenario, event.seed
-
-    def named(self, name: str) -> Outcome | None:
-        """What the run of that name came to so far; None where no mission has begun."""
-        return (
-            None
-            if self._tally.began_s is None
-            else Outcome(name, self._plan, self._tally.result(), self._world)
-        )
 
 
 def lasting(seconds: float) -> str:

@@ -10,25 +10,20 @@ from datetime import datetime
 from pathlib import Path
 
 from upwash.core.geo import Position
-from upwash.core.knowledge.servers import State
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.log import EventLog
-from upwash.eventlog.progress import MissionTime
-from upwash.eventlog.reasons import CallText, ExplainedAnswer, ExplainedCall, Reasons, worst_of
-from upwash.eventlog.results import CallResult, RunResult, Tally
+from upwash.eventlog.results import CallResult, RunResult
 from upwash.eventlog.schema import Event
-from upwash.report.findings import Finder, Finding
-from upwash.report.going import OpenAnswer, OpenAnswers
+from upwash.report.findings import Finding
 from upwash.report.notices import Notices, NoticesTaken
 from upwash.report.numbering import FlightFindings, PlacedFinding
-from upwash.report.outcome import UNPLANNED, Outcome
+from upwash.report.outcome import Outcome
 from upwash.report.reviewed import ReviewedFindings, reviewed
 from upwash.report.reviews import NO_REVIEWS, Reviews, read_reviews
+from upwash.report.story import OpenAnswer, Story, Stretch, place_of
 from upwash.support.progress import work
 from upwash.support.text import by_name
-
-_WORST = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,16 +51,6 @@ class WorstCall:
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
-    """A time that a server spent in one state, in seconds of the mission, and why it came into it."""
-
-    state: State
-    from_s: float
-    to_s: float
-    why: str
-
-
-@dataclass(frozen=True, slots=True)
 class Fix:
     """Where the drone was at a second of the mission; not a number above the sea where home's altitude is unknown."""
 
@@ -75,36 +60,13 @@ class Fix:
 
 
 class MissionEvents:
-    """The events of a log's last run until the mission was completed, read anew by whoever wants them.
+    """The events of a log from the `first` to before the `end`, read anew by each reader.
 
     A long flight's log is larger than what a page about it holds, so that none of them is kept.
     """
 
-    def __init__(self, events: Iterable[Event]) -> None:
-        self._events = events
-        self._first = self._end = 0
-        self.opening: Event | None = None  # the first of them
-        self.planned = UNPLANNED
-        self.drone = ""
-        self.began_s: float | None = None
-        self._look_through()
-
-    def _look_through(self) -> None:
-        began, completed = MissionTime(), False
-        for number, event in enumerate(self._events):
-            if isinstance(event, schema.LogOpened) or number == 0:
-                began, completed = MissionTime(), False
-                self._first, self.opening, self.planned = number, event, UNPLANNED
-            if completed:
-                continue
-            began.take(event)
-            if isinstance(event, schema.Planned) and self.planned is UNPLANNED:
-                self.planned = event
-            elif isinstance(event, schema.MissionStarted):
-                self.drone = event.drone
-            self._end = number + 1
-            completed = isinstance(event, schema.MissionCompleted)
-        self.began_s = began.at_s
+    def __init__(self, events: Iterable[Event], first: int, end: int) -> None:
+        self._events, self._first, self._end = events, first, end
 
     def __iter__(self) -> Iterator[Event]:
         return itertools.islice(self._events, self._first, self._end)
@@ -121,21 +83,61 @@ class Record:
     """
 
     name: str
-    opened: datetime | None
-    simulated: schema.Simulated | None
-    drone: str
-    began_s: float
+    story: Story
     events: Iterable[Event]
     result: RunResult
-    plan: schema.Planned
     calls: Sequence[ReportedCall]
-    worst: Sequence[WorstCall]
     stretches: Mapping[str, Sequence[Stretch]]
     notices: Notices
-    findings: Sequence[Finding] = ()
     reviews: Reviews = NO_REVIEWS
-    answers: Sequence[OpenAnswer] = ()
-    measured: Sequence[tuple[str, schema.MeasuredRecord]] = ()
+
+    @property
+    def opened(self) -> datetime | None:
+        """The time of day at second 0 of the log, None for a simulated one."""
+        return self.story.opened
+
+    @property
+    def simulated(self) -> schema.Simulated | None:
+        """The simulation's own first line, None for a flight."""
+        return self.story.simulated
+
+    @property
+    def drone(self) -> str:
+        """The drone's name."""
+        return self.story.drone or ""
+
+    @property
+    def began_s(self) -> float:
+        """The mission's begin, in seconds of the log."""
+        return self.story.began_s
+
+    @property
+    def plan(self) -> schema.Planned:
+        """What the drone set out to do."""
+        return self.story.plan
+
+    @property
+    def findings(self) -> Sequence[Finding]:
+        """Each sighting that the log tells."""
+        return self.story.finder.found
+
+    @property
+    def answers(self) -> Sequence[OpenAnswer]:
+        """The answers that the drone went on before."""
+        return self.story.answers
+
+    @property
+    def measured(self) -> list[tuple[str, schema.MeasuredRecord]]:
+        """What was known in the end of servers without a range, place by place."""
+        return [(server, place) for (server, _, _), place in self.story.measured.items()]
+
+    @property
+    def worst(self) -> list[WorstCall]:
+        """The calls that lost most, the worst first."""
+        return [
+            WorstCall(self.calls[text.call.number], text.call.loss_s, text.reasons)
+            for text in self.story.worst
+        ]
 
     @property
     def turns(self) -> Iterator[tuple[int | None, Position]]:
@@ -162,9 +164,7 @@ class Record:
     @property
     def found(self) -> FlightFindings:
         """What was found on the flight, with what people decided about it."""
-        return FlightFindings(
-            self.name, self.drone, self.opened, self.began_s, self.plan.home, self.findings, self.reviews
-        )
+        return replace(self.story.findings(self.name), reviews=self.reviews)
 
     @property
     def outcome(self) -> Outcome:
@@ -199,11 +199,11 @@ def findings_of(records: Sequence[Record]) -> list[PlacedFinding]:
 
 def record_of(events: Sequence[Event], log: Path) -> Record:
     """The last run of these events, which the log has or should have; raises UsageError as `read_records` does."""
-    return _record(MissionEvents(events), log, *names_of([log]))
+    return _record(events, log, *names_of([log]))
 
 
 def _record_of_log(events: EventLog, log: Path, name: str) -> Record:
-    record = _record(MissionEvents(events), log, name)
+    record = _record(events, log, name)
     return replace(record, notices=record.notices.with_caution(events.left_out))
 
 
@@ -213,80 +213,32 @@ def names_of(logs: Sequence[Path]) -> list[str]:
     return [name if short.count(name) == 1 else str(log) for name, log in zip(short, logs, strict=True)]
 
 
-def _record(events: MissionEvents, log: Path, name: str) -> Record:
-    if events.began_s is None:
-        raise UsageError(f"{log} has no mission: it ended before one began")
+def _record(events: Iterable[Event], log: Path, name: str) -> Record:
+    story, notices, first, end = Story(), NoticesTaken(), 0, 0
+    track = _Track(0.0)
     try:
-        plan = events.planned
-        tally, calls, track = Tally(), _Calls(), _Track(events.began_s)
-        answers, finder = OpenAnswers(events.began_s), Finder()
-        notices = NoticesTaken(events.began_s)
-        measured = {
-            (server, each.east_m, each.north_m): each
-            for server, known in plan.measured.items()
-            for each in known
-        }
-        states = _States((*plan.ranges, *plan.measured), began_s=events.began_s)
-        for event in events:
-            tally.take(event)
-            calls.take(event)
-            states.take(event)
-            answers.take(event)
-            finder.take(event)
-            notices.take(event)
-            if isinstance(event, schema.PlaceMeasured):
-                measured[event.server, event.place.east_m, event.place.north_m] = event.place
-            track.take(event)  # whether it can be read is known from here on
-        result = tally.result()
-        reported = calls.with_results(result.calls)
+        for number, event in enumerate(events):
+            if isinstance(event, schema.LogOpened):
+                story, notices, first = Story(), NoticesTaken(), number
+            if not story.tally.completed:
+                story.take(event)
+                notices.take(event, event.t - story.began_s)
+                track.take(event)  # whether it can be read is known from here on
+                end = number + 1
+        if story.tally.began_s is None:
+            raise UsageError(f"{log} has no mission: it ended before one began")
+        result = story.tally.result()
         return Record(
             name=name,
-            opened=events.opening.time if isinstance(events.opening, schema.LogOpened) else None,
-            simulated=events.opening if isinstance(events.opening, schema.Simulated) else None,
-            drone=events.drone,
-            began_s=events.began_s,
-            events=events,
+            story=story,
+            events=MissionEvents(events, first, end),
             result=result,
-            plan=plan,
-            calls=reported,
-            worst=calls.worst(reported),
-            stretches=states.stretches(),
+            calls=[ReportedCall(call, *facts) for call, facts in zip(result.calls, story.calls, strict=True)],
+            stretches=story.stretches,
             notices=notices.notices(result),
-            findings=finder.found,
-            measured=[(server, place) for (server, _, _), place in measured.items()],
-            answers=answers.found,
         )
     except (KeyError, TypeError, ValueError) as error:  # msgspec's ValidationError is a ValueError
         raise UsageError(f"{log} is not an event log that this version reads: {error!r}") from error
-
-
-class _Calls:
-    """Gathers a run's calls, event by event, and keeps the reasons of the worst calls alone."""
-
-    def __init__(self) -> None:
-        self._reasons = Reasons()
-        self._facts: list[tuple[Position | None, str, bool]] = []
-        self._worst: list[CallText] = []
-
-    def take(self, event: Event) -> None:
-        """Takes in the next event."""
-        match self._reasons.take(event):
-            case ExplainedCall() as explained:
-                outcome = explained.outcome
-                self._facts.append((explained.position, outcome.wait, outcome.fell_back))
-                self._worst = worst_of([*self._worst, CallText(explained)], _WORST)
-            case ExplainedAnswer(number=number) as answer:
-                for text in self._worst:
-                    if text.call.number == number:
-                        text.answers.append(answer)
-
-    def with_results(self, results: Sequence[CallResult]) -> list[ReportedCall]:
-        """The calls, with their results in the same order."""
-        return [ReportedCall(result, *facts) for result, facts in zip(results, self._facts, strict=True)]
-
-    def worst(self, calls: Sequence[ReportedCall]) -> list[WorstCall]:
-        """The calls that lost most, the worst first."""
-        return [WorstCall(calls[text.call.number], text.call.loss_s, text.reasons) for text in self._worst]
 
 
 class _Track:
@@ -306,50 +258,3 @@ class _Track:
             return None
         self._last = here
         return Fix(event.t - self._began_s, here, self._home_above_sea_m + here.altitude_m)
-
-
-def place_of(event: Event, last: Position | None) -> Position | None:
-    """Where an event tells that the drone was; as high as `last` where it tells a place without an altitude."""
-    match event:
-        case schema.PositionReport(east_m=east_m, north_m=north_m, altitude_m=altitude_m):
-            return Position(east_m, north_m, altitude_m)
-        case schema.Arrived(east_m=east_m, north_m=north_m):
-            return Position(east_m, north_m, last.altitude_m if last else 0.0)
-    place = getattr(event, "position", None)
-    return place if isinstance(place, Position) else None
-
-
-class _States:
-    """Gathers the states that servers were in, event by event."""
-
-    def __init__(self, servers: Iterable[str], *, began_s: float) -> None:
-        self._began_s = began_s
-        self._now: dict[str, tuple[State, float, str]] = dict.fromkeys(servers, (State.AVL, 0.0, ""))
-        self._stretches: dict[str, list[Stretch]] = {name: [] for name in self._now}
-        self._ended_s = 0.0
-
-    def take(self, event: Event) -> None:
-        """Takes in the next event."""
-        at_s = event.t - self._began_s
-        self._ended_s = max(self._ended_s, at_s)
-        if isinstance(event, schema.LogResumed):  # a program that starts again knows no server's state
-            for server in self._now:
-                self._end(server, at_s)
-                self._now[server] = (State.AVL, at_s, "taken up again")
-        elif isinstance(event, schema.ServerStep):
-            server, at_s = event.server, max(0.0, at_s)
-            if server not in self._now:
-                self._now[server], self._stretches[server] = (event.before, 0.0, ""), []
-            self._end(server, at_s)
-            self._now[server] = (event.after, at_s, event.why)
-
-    def stretches(self) -> Mapping[str, Sequence[Stretch]]:
-        """The stretches of each server, up to the last event."""
-        for server in self._now:
-            self._end(server, self._ended_s)
-        return {server: self._stretches[server] for server in sorted(self._stretches, key=by_name)}
-
-    def _end(self, server: str, at_s: float) -> None:
-        state, since_s, why = self._now[server]
-        if at_s > since_s:
-            self._stretches[server].append(Stretch(state, since_s, at_s, why))

@@ -23,7 +23,8 @@ from foxglove.messages import (
 from upwash.core.geo import Circle, Position
 from upwash.core.knowledge.servers import State
 from upwash.report.palette import DARK, components
-from upwash.report.record import Record, ReportedCall, Stretch
+from upwash.report.record import Record, ReportedCall
+from upwash.report.story import Stretch
 
 FRAME = "home"  # east, north and up of it
 _SIDES = 64  # of the line around a range

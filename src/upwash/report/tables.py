@@ -10,10 +10,10 @@ from upwash.core.knowledge.servers import State
 from upwash.eventlog import schema
 from upwash.eventlog.progress import clock
 from upwash.eventlog.results import CallResult, mean_local_delay_s
-from upwash.report.going import OpenAnswer
 from upwash.report.markup import Markup, element, joined
 from upwash.report.numbering import PlacedFinding
-from upwash.report.record import Record, ReportedCall, Stretch
+from upwash.report.record import Record, ReportedCall
+from upwash.report.story import OpenAnswer, Stretch
 from upwash.support.text import counted
 
 _MOST_ROWS = 300  # of a table with a row each of what a long flight has many of

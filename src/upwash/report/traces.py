@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from upwash.core.geo import Position, part_way
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
-from upwash.report.record import Record, place_of
+from upwash.report.record import Record
+from upwash.report.story import place_of
 
 _UNSAFE = re.compile(r"[^\w.-]")  # in a file's name: a log may be a stranger's
 _TIMES = "-times.csv"

@@ -22,7 +22,7 @@ from upwash.support.addresses import names_this_machine
 from upwash.view.desk import Desk
 from upwash.view.document import document, sources
 from upwash.view.feed import Feed
-from upwash.view.story import Story
+from upwash.view.news import News
 
 _LISTENS_AT = "127.0.0.1"
 _POLICY = (
@@ -58,11 +58,11 @@ def application(feed: Feed, photos: PhotoShelf, *, images: Sequence[str] = ()) -
         )
 
     async def picture(
-        request: Request, of: Callable[[Story], Sequence[Any]], make: Callable[[Any], bytes | None]
+        request: Request, of: Callable[[News], Sequence[Any]], make: Callable[[Any], bytes | None]
     ) -> Response:
         log, run, number = (request.path_params[name] for name in ("log", "run", "number"))
         recording = feed.recordings[log] if log < len(feed.recordings) else None
-        pictured = () if recording is None or recording.run != run else of(recording.story)
+        pictured = () if recording is None or recording.run != run else of(recording.news)
         if number >= len(pictured):
             return Response("the log has no such photo or finding", status_code=404)
         async with rendering:
@@ -72,10 +72,10 @@ def application(feed: Feed, photos: PhotoShelf, *, images: Sequence[str] = ()) -
         return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
     async def photo(request: Request) -> Response:
-        return await picture(request, lambda story: story.shots, photos.find)
+        return await picture(request, lambda news: news.shots, photos.find)
 
     async def crop(request: Request) -> Response:
-        return await picture(request, lambda story: story.found, crop_for)
+        return await picture(request, lambda news: news.story.finder.found, crop_for)
 
     async def findings(request: Request) -> Response:
         name = request.path_params["format"]

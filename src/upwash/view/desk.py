@@ -145,7 +145,7 @@ class Desk:
     def _log_of(self, sent: _Sent) -> Path:
         recordings = self._feed.recordings
         recording = recordings[sent.log] if sent.log < len(recordings) else None
-        if recording is None or all(found.key != sent.finding for found in recording.story.found):
+        if recording is None or all(found.key != sent.finding for found in recording.news.story.finder.found):
             raise _Refused(404, "the log has no such finding any more: load the page again")
         return recording.log
 

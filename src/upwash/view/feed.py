@@ -201,7 +201,7 @@ class Feed:
         over = {
             log: recording.run
             for log, recording in enumerate(self.recordings)
-            if recording.caught_up and recording.story.ended and not recording.trouble
+            if recording.caught_up and recording.news.ended and not recording.trouble
         }
         if over == self._summarized:
             return
@@ -209,7 +209,7 @@ class Feed:
         outcomes = {
             log: outcome
             for log in over
-            if (outcome := self.recordings[log].outcome.named(self._names[log])) is not None
+            if (outcome := self.recordings[log].news.story.outcome(self._names[log])) is not None
         }
         self._summaries = {
             log: what_it_came_to(outcome, list(outcomes.values())) for log, outcome in outcomes.items()
@@ -220,7 +220,9 @@ class Feed:
     @property
     def flights(self) -> list[FlightFindings]:
         """The findings of each flight until now, with their reviews."""
-        flights = [each.story.flight(name) for each, name in zip(self.recordings, self._names, strict=True)]
+        flights = [
+            each.news.story.findings(name) for each, name in zip(self.recordings, self._names, strict=True)
+        ]
         return self._with_reviews(flights)
 
     def _with_reviews(self, flights: list[FlightFindings]) -> list[FlightFindings]:
@@ -254,7 +256,7 @@ class Feed:
         began_s = time.monotonic()
         if began_s < self._next_numbering_s and not at_once:
             return False
-        count = [(recording.run, len(recording.story.found)) for recording in self.recordings]
+        count = [(recording.run, len(recording.news.story.finder.found)) for recording in self.recordings]
         if count == self._counted:
             return False
         flights = self.flights
@@ -321,7 +323,7 @@ class Feed:
 
 def _are_of_several_drones(recordings: Sequence[Recording]) -> bool:
     """Whether they are; flights that have yet to begin at once are taken for those of several."""
-    return are_a_fleet([recording.story.drone for recording in recordings])
+    return are_a_fleet([recording.news.story.drone for recording in recordings])
 
 
 def _batches(log: int, recording: Recording, seen: _Seen) -> Iterator[tuple[Batch, _Seen]]:

@@ -110,8 +110,8 @@ def _photos(recordings: Sequence[Recording], album: _Album) -> Iterator[tuple[st
     """The available photos by log and number, photos with findings first."""
     for outlined in (True, False):
         for log, recording in enumerate(recordings):
-            for number, shot in enumerate(recording.story.shots):
-                if (number in recording.story.outlined) is outlined and album.keeps(shot.source):
+            for number, shot in enumerate(recording.news.shots):
+                if (number in recording.news.outlined) is outlined and album.keeps(shot.source):
                     photo = album.small(shot)
                     if photo is not None:
                         yield f"{log}/{number}", photo

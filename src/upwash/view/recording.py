@@ -13,9 +13,8 @@ import msgspec
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.log import LineReader
-from upwash.report.outcome import OutcomeSoFar
 from upwash.view.facts import Fact
-from upwash.view.story import Story
+from upwash.view.news import News
 from upwash.view.tail import Tail
 
 _MOST_BYTES = 2**27  # of facts: many days of a flight
@@ -62,8 +61,7 @@ class Recording:
         self._begin()
 
     def _begin(self) -> None:
-        self.story = Story(self._keeps)
-        self.outcome = OutcomeSoFar()
+        self.news = News(self._keeps)
         self.count = 0
         self._pieces: list[Piece] = []
         self._bytes = 0  # of all of them
@@ -105,9 +103,8 @@ class Recording:
                 if type(event) is schema.LogOpened and (self.count or told):
                     told.clear()
                     self._begin()
-                self.outcome.take(event)
-                told += self.story.take(event)
-            told += self.story.lacks(self._lines.left_out)
+                told += self.news.take(event)
+            told += self.news.lacks(self._lines.left_out)
         finally:  # what came before the end of what can be read is told
             if told:
                 self._pieces.append(Piece(self.count, len(told), msgspec.json.encode(told)))

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from datetime import datetime
 
 import msgspec
 
 from upwash.core.camera.georeference import PhotoGeometry
-from upwash.core.geo import GeoPosition, LocalFrame, Position
+from upwash.core.geo import LocalFrame, Position
 from upwash.core.knowledge.servers import CHECKING, State
 from upwash.core.operation import ON_DRONE
 from upwash.core.vehicle.control import Owner
@@ -17,13 +16,11 @@ from upwash.eventlog.causes import Considered, Course, course_after
 from upwash.eventlog.narration import MEANINGS, Narrator, tone_of
 from upwash.eventlog.notices import Notice, Notices
 from upwash.eventlog.objects import found_objects
-from upwash.eventlog.progress import CallPlaces, MissionTime
-from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, Reasons, call_lines, decision_lines
+from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, call_lines, decision_lines
 from upwash.eventlog.schema import Event
-from upwash.report.findings import Finder, Finding
-from upwash.report.numbering import FlightFindings
+from upwash.report.findings import Finding
 from upwash.report.photos import Shot
-from upwash.report.record import place_of
+from upwash.report.story import Story, place_of
 from upwash.support.text import by_name
 from upwash.view import facts
 from upwash.view.facts import Fact
@@ -40,43 +37,35 @@ _ON_CALLS = (
 _STALE_S = 1.5  # a flown log has a position each second, a simulated log with each event
 
 
-class Story:
-    """One run, from the events of its log; `shots` are the photos until now, `ended` says whether the run is over.
+class News:
+    """Tells of a story what each event changes; `outlined` has the numbers of the photos with findings.
 
-    `outlined` has the numbers of the photos with findings.
-    `drone` is the drone's name, None before the mission began. `keeps` says of a photo's source whether its photos
-    can be had.
+    `shots` are the photos until now, `ended` says whether the run is over. `keeps` says of a photo's source whether
+    its photos can be had.
     """
 
     def __init__(self, keeps: Callable[[str], bool]) -> None:
+        self.story = Story()
         self.shots: list[Shot] = []
         self.outlined: set[int] = set()
         self.ended = False
-        self.drone: str | None = None
         self._keeps = keeps
         self._narrator = Narrator()
-        self._reasons = Reasons()
         self._notices = Notices()
-        self._now_s = 0.0
-        self._beginning = MissionTime()
+        self._began_s: float | None = None
         self._policy = ""
-        self._calls_at = CallPlaces()
-        self._finder = Finder()
-        self._opened: datetime | None = None
-        self._home: GeoPosition | None = None
         self._place: Position | None = None
         self._placed_s = 0.0
         self._control = Control()
         self._doing: tuple[str, int, str, str] | None = None
         self._vehicle = facts.Vehicle(at_s=0.0)
         self._course: Course | None = None
-        self._servers: set[str] = set()
         self._left_out = self._beside = ""
         self._unfinished: list[ExplainedCall] = []  # they name servers that are still left alone
 
     def take(self, event: Event) -> Iterable[Fact]:
         """What the next event tells."""
-        self._now_s = max(self._now_s, event.t)
+        self.story.take(event)
         # Most events of a long log are positions.
         if type(event) is schema.PositionReport and self._doing and not self._notices.is_stale(event.t):
             here = Position(event.east_m, event.north_m, event.altitude_m)
@@ -86,15 +75,8 @@ class Story:
         return self._told(event)
 
     @property
-    def found(self) -> Sequence[Finding]:
-        """The findings until now."""
-        return self._finder.found
-
-    def flight(self, log: str) -> FlightFindings:
-        """The same, with the flight of that log."""
-        return FlightFindings(
-            log, self.drone, self._opened, self._beginning.at_s or 0.0, self._home, list(self.found)
-        )
+    def _now_s(self) -> float:
+        return self.story.now_s
 
     def lacks(self, left_out: str) -> Iterator[Fact]:
         """The notice about lines that are no events; nothing if the notice was given before."""
@@ -104,9 +86,7 @@ class Story:
             yield self._notice(Notice("log", cause, since_s=self._now_s))
 
     def _told(self, event: Event) -> Iterator[Fact]:
-        said = self._narrator.tell(event)
-        explained = self._reasons.take(event)
-        self._calls_at.take(event)
+        said, explained = self._narrator.tell(event), self.story.explained
         yield from self._whereabouts(event)
         yield from self._progress(event)
         yield from self._photos(event)
@@ -117,7 +97,7 @@ class Story:
         yield from self._going(event, explained)
         yield from map(self._notice, self._notices.take(event))
         if isinstance(event, schema.ServerStep):
-            yield self._step(event.server, event.after, event.why)
+            yield self._step(event.server)
         if said is not None:
             yield facts.Said(at_s=self._now_s, words=said.text, tone=said.tone)
 
@@ -173,22 +153,19 @@ class Story:
     def _progress(self, event: Event) -> Iterator[Fact]:
         match event:
             case schema.LogOpened(time=time):
-                self._opened = time
                 yield facts.Opened(at_s=self._now_s, epoch_s=time.timestamp())
             case schema.VehicleFound(firmware=firmware, type=kind, version=version):
                 yield facts.Firmware(at_s=self._now_s, name=firmware, type=kind, version=version)
             case schema.Planned():
-                self._home = self._home or event.home
                 yield self._plan(event)
                 for server, known in event.measured.items():
                     yield from (self._measured(server, place) for place in known)
             case schema.LogResumed():
                 self.ended = False
-                # A program that starts again knows no server's state.
-                for server in sorted(self._servers, key=by_name):
-                    yield self._step(server, State.AVL, "taken up again")
-            case schema.MissionStarted(drone=drone, policy=policy):
-                self.drone, self._policy = drone, policy
+                for server in sorted(self.story.steps, key=by_name):
+                    yield self._step(server)
+            case schema.MissionStarted(policy=policy):
+                self._policy = policy
             case schema.PlaceMeasured(server=server, place=place):
                 yield self._measured(server, place)
             case schema.Foreseen():
@@ -202,10 +179,9 @@ class Story:
             case schema.MissionCompleted() | schema.MissionEnded():
                 self.ended = True
                 yield facts.Ended(at_s=self._now_s, completed=isinstance(event, schema.MissionCompleted))
-        began_s = self._beginning.at_s
-        self._beginning.take(event)
-        if self._beginning.at_s != began_s:
-            yield facts.Began(at_s=self._now_s, policy=self._policy, drone=self.drone or "")
+        if self._began_s != (began_s := self.story.tally.began_s):
+            self._began_s = began_s
+            yield facts.Began(at_s=self._now_s, policy=self._policy, drone=self.story.drone or "")
         self._control.take(event)
         yield from self._state(event)
 
@@ -241,7 +217,6 @@ class Story:
         )
 
     def _plan(self, plan: schema.Planned) -> facts.Plan:
-        self._servers |= {*plan.ranges, *plan.measured}
         home = plan.home
         return facts.Plan(
             at_s=self._now_s,
@@ -256,8 +231,8 @@ class Story:
 
     # --- servers and calls ------------------------------------------------------------------------------------
 
-    def _step(self, server: str, state: State, why: str) -> facts.Step:
-        self._servers.add(server)
+    def _step(self, server: str) -> facts.Step:
+        _, state, why = self.story.steps[server][-1]
         means = MEANINGS[State.CHECK if state in CHECKING else state]
         return facts.Step(
             at_s=self._now_s, server=server, state=state, means=means, tone=tone_of(state), why=why
@@ -265,7 +240,7 @@ class Story:
 
     def _under_way(self, event: Event) -> Iterator[Fact]:
         """Where the open call is, or the last of several, if the event changes that."""
-        before, decisions = self._course, self._reasons.under_way
+        before, decisions = self._course, self.story.reasons.under_way
         if isinstance(event, _ON_CALLS):
             self._course = course_after(event, decisions[-1], before) if decisions else None
         elif isinstance(event, schema.Call) and decisions:  # of the other calls
@@ -277,7 +252,7 @@ class Story:
         if self._course is before:
             return
         if self._course is None:
-            yield facts.Decision(at_s=self._now_s, number=self._reasons.ended, waypoint=None)
+            yield facts.Decision(at_s=self._now_s, number=self.story.reasons.ended, waypoint=None)
         else:
             yield self._decision(self._course, decisions[-1])
 
@@ -286,9 +261,11 @@ class Story:
         limit_s = decided.local_s if alone else course.at_most_s
         return facts.Decision(
             at_s=self._now_s,
-            number=self._reasons.ended,
+            number=self.story.reasons.ended,
             operation=decided.operation,
-            waypoint=self._calls_at.of_call_under_way if decided.waypoint is None else decided.waypoint,
+            waypoint=self.story.tally.whereabouts.of_call_under_way
+            if decided.waypoint is None
+            else decided.waypoint,
             words=[f"{course.sentence}.", *decision_lines(decided)],
             estimates=_estimates(decision),
             began_s=course.began_s,
@@ -349,8 +326,7 @@ class Story:
     # --- photos -----------------------------------------------------------------------------------------------
 
     def _photos(self, event: Event) -> Iterator[Fact]:
-        found = self._finder.take(event)
-        photo = self._finder.pairing.last
+        photo = self.story.finder.pairing.last
         if isinstance(event, schema.PhotoTaken) and photo is not None:
             self.shots.append(photo.shot)
             yield facts.Shot(
@@ -362,7 +338,7 @@ class Story:
                 truth=found_objects(event.truth),
                 footprint_m=_corners(event.geometry),
             )
-        for each in found:
+        for each in self.story.found:
             if each.photo is not None:
                 self.outlined.add(each.photo.number)
             yield self._told_of(each)
