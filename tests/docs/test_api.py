@@ -36,7 +36,7 @@ def shown() -> Iterator[tuple[str, str]]:
     folders = ("examples", "scenarios", "src/upwash/cli/project")
     for file in sorted(file for folder in folders for file in (ROOT / folder).glob("*.py")):
         yield file.name, file.read_text()
-    for program in bundled._MISSIONS.values():
+    for program in program._MISSIONS.values():
         spec = find_spec(program.partition(":")[0])
         assert spec is not None
         assert spec.origin is not None

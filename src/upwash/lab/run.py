@@ -49,7 +49,8 @@ from upwash.lab.observer import (
     drone_observer,
     observe_ranges,
 )
-from upwash.missions.bundled import is_bundled, load_mission, load_services, load_specs
+from upwash.missions.bundled import load_services, load_specs
+from upwash.missions.program import is_bundled, load_mission
 from upwash.ports import Camera, Dialer, Network
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.camera import ModelCamera, ObjectCamera, RenderedCamera, UnseenCamera, eventful, mistaken

@@ -21,7 +21,7 @@ from upwash.core.camera.lens import Lens
 from upwash.core.geo import Position
 from upwash.errors import CameraError, UsageError
 from upwash.eventlog.schema import Event, LogOpened, PhotoTaken
-from upwash.missions.bundled import load_mission
+from upwash.missions.program import load_mission
 from upwash.ports import Camera, Photo
 from upwash.real.camera.album import FolderAlbum
 from upwash.real.camera.calibration import read_calibration

@@ -38,7 +38,8 @@ from upwash.launch.drone import (
 )
 from upwash.launch.readiness import require_ready
 from upwash.launch.watchdog import watched
-from upwash.missions.bundled import load_mission, load_services, load_specs
+from upwash.missions.bundled import load_services, load_specs
+from upwash.missions.program import load_mission
 from upwash.ports import Autopilot, Camera, ComingDown, Journal
 from upwash.real.camera.terrain import Terrain
 from upwash.real.host.clock import (

@@ -15,7 +15,8 @@ from upwash.config import Document, drone_config, impossible_values, read_docume
 from upwash.config.problems import repeated
 from upwash.errors import ConfigError, UsageError
 from upwash.lab.scenario import with_value, written
-from upwash.missions.bundled import load_mission, load_services
+from upwash.missions.bundled import load_services
+from upwash.missions.program import load_mission
 from upwash.support.input_files import read_toml
 
 
