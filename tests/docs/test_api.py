@@ -20,7 +20,7 @@ import upwash
 import upwash.policies
 import upwash.services
 from upwash.cli.main import main
-from upwash.missions import bundled
+from upwash.missions import program
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
@@ -36,11 +36,11 @@ def shown() -> Iterator[tuple[str, str]]:
     folders = ("examples", "scenarios", "src/upwash/cli/project")
     for file in sorted(file for folder in folders for file in (ROOT / folder).glob("*.py")):
         yield file.name, file.read_text()
-    for program in program._MISSIONS.values():
-        spec = find_spec(program.partition(":")[0])
+    for mission in program._MISSIONS.values():
+        spec = find_spec(mission.partition(":")[0])
         assert spec is not None
         assert spec.origin is not None
-        yield program, Path(spec.origin).read_text()
+        yield mission, Path(spec.origin).read_text()
 
 
 def named(code: str) -> Iterator[tuple[str, str]]:

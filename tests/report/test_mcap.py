@@ -213,10 +213,10 @@ def test_what_calls_took_and_the_states_of_servers_are_numbers(simulated: tuple[
     messages, record = simulated
     calls = of_topic(messages, "/calls")
     assert [(call.message["place"], call.message["delay_s"]) for call in calls] == [
-        (call.result.server or "drone", call.result.delay_s) for call in record.calls
+        (call.server or "drone", call.delay_s) for call in record.calls
     ]
     assert [call.time_s for call in calls] == pytest.approx(
-        [record.began_s + call.result.at_s + call.result.delay_s for call in record.calls]
+        [record.began_s + call.at_s + call.delay_s for call in record.calls]
     )
     for server, stretches in record.stretches.items():
         *begun, last = of_topic(messages, f"/servers/{server}")

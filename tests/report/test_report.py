@@ -114,15 +114,11 @@ def test_the_worst_calls_are_told_with_their_loss_and_reasons(records: list[Reco
     page = tree_of(records[:1])
     (worst,) = page.iter("ol")
     told = ["".join(item.itertext()) for item in worst]
-    assert [each.call.result.waypoint for each in records[0].worst] == [0, 12], "a processor heats up twice"
+    assert [each.call.waypoint for each in records[0].worst] == [0, 12], "a processor heats up twice"
     for text, lost in zip(told, records[0].worst, strict=True):
-        assert lost.loss_s == pytest.approx(lost.call.result.delay_s - 10.0), (
-            "the drone was expected to take that"
-        )
-        assert (
-            f"ended at {clock(lost.call.result.at_s + lost.call.result.delay_s)}, {lost.loss_s:.1f} s lost"
-            in text
-        )
+        loss_s, delay_s = lost.call.loss_s, lost.call.outcome.delay_s
+        assert loss_s == pytest.approx(delay_s - 10.0), "the drone was expected to take that"
+        assert f"ended at {clock(lost.call.at_s + delay_s)}, {loss_s:.1f} s lost" in text
         assert all(reason in text for reason in lost.reasons)
 
 
@@ -154,10 +150,10 @@ def test_the_states_of_each_server_fill_the_mission(records: list[Record]) -> No
 
 def test_calls_on_a_server_begin_while_it_is_ready_or_waited_for(records: list[Record]) -> None:
     for call in records[0].calls:
-        if call.result.place != "local":
-            sent_s = call.result.at_s + call.result.waited_s
+        if call.place != "local":
+            sent_s = call.at_s + call.waited_s
             (state,) = [
-                stretch.state for stretch in records[0].stretches[call.result.place]
+                stretch.state for stretch in records[0].stretches[call.place]
                 if stretch.from_s <= sent_s + 1e-6 < stretch.to_s
             ]  # fmt: skip
             assert state is State.READY
@@ -256,7 +252,7 @@ def test_csv_has_a_row_for_each_call(logs: tuple[Path, Path], records: list[Reco
     assert main(["report", *map(str, logs), "--csv", str(file)]) == 0
     with file.open(newline="") as text:
         rows = list(csv.DictReader(text))
-    calls = [call.result for record in records for call in record.calls]
+    calls = [call for record in records for call in record.calls]
     assert [float(row["delay_s"]) for row in rows] == [call.delay_s for call in calls]
     assert [row["place"] for row in rows] == [call.place for call in calls]
     assert {row["log"] for row in rows} == {"with", "without"}
@@ -393,10 +389,8 @@ def test_turns_back_and_open_answers_are_told(going: Record) -> None:
 
 def test_each_call_stands_where_it_was_made_though_it_was_answered_elsewhere(going: Record) -> None:
     planned = going.plan.waypoints_m
-    assert [
-        call.position and (call.position.east_m, call.position.north_m) for call in going.calls
-    ] == planned
-    assert [call.result.waypoint for call in going.calls] == list(range(18))
+    assert [place and (place.east_m, place.north_m) for place in going.places] == planned
+    assert [call.waypoint for call in going.calls] == list(range(18))
 
 
 def test_photos_of_a_camera_at_the_autopilot_lie_where_the_autopilot_says(going: Record) -> None:

@@ -56,7 +56,7 @@ def opened(page: Browser, address: str, *, width: int = 1280, scheme: str = "lig
 
 
 def calls_until(record: Record, at_s: float) -> int:
-    return sum(call.result.at_s + call.result.delay_s <= at_s + 1e-6 for call in record.calls)
+    return sum(call.at_s + call.delay_s <= at_s + 1e-6 for call in record.calls)
 
 
 def shown_calls(page: Browser) -> int:
@@ -79,7 +79,7 @@ def test_any_moment_of_a_flight_is_shown_as_the_log_has_it(
         page.seek(round(at_s, 1))
         calls = calls_until(record, round(at_s, 1))
         table = page.rows(".delays")
-        assert [row[4] for row in table] == [f"{call.result.delay_s:.2f} s" for call in record.calls[:calls]]
+        assert [row[4] for row in table] == [f"{call.delay_s:.2f} s" for call in record.calls[:calls]]
         label = page.find(".chart canvas").get_attribute("aria-label") or ""
         assert f"{calls} calls" in label
         for server, state, *_ in page.rows(".servers"):
@@ -100,9 +100,9 @@ def test_a_call_has_its_like_under_another_policy_beside_it(
     ours, theirs = read_records(logs)
     opened(page, two)
     number = 41
-    call = ours.calls[number].result
+    call = ours.calls[number]
     page.seek(round(call.at_s + call.delay_s + 0.1, 1))
-    other = theirs.calls[number].result
+    other = theirs.calls[number]
     name = f"{theirs.result.policy} ({theirs.name})"
     assert f"{name}: drone, {other.delay_s:.1f} s" in page.text(".others")
 
@@ -170,13 +170,13 @@ def test_a_flight_plays_on_its_own_from_the_beginning_to_the_end(
 
 def test_the_buttons_go_from_call_to_call(page: Browser, one: str, logs: tuple[Path, Path]) -> None:
     (record,) = read_records(logs[:1])
-    ends = [call.result.at_s + call.result.delay_s for call in record.calls]
+    ends = [call.at_s + call.delay_s for call in record.calls]
     opened(page, one)
     page.seek(0.0)
     for end in ends[:3]:
         page.click("#next")
         page.wait_for_moment(round(end, 1))
-    assert f"waypoint {record.calls[2].result.waypoint}" in page.text(".now h3")
+    assert f"waypoint {record.calls[2].waypoint}" in page.text(".now h3")
     page.click("#previous")
     page.wait_for_moment(round(ends[1], 1))
 
@@ -185,7 +185,7 @@ def test_a_waypoint_can_be_gone_to(page: Browser, one: str, logs: tuple[Path, Pa
     (record,) = read_records(logs[:1])
     opened(page, one)
     page.find("#waypoint").send_keys("42", Keys.ENTER)
-    (call,) = [call.result for call in record.calls if call.result.waypoint == 42]
+    (call,) = [call for call in record.calls if call.waypoint == 42]
     page.wait_for_moment(round(call.at_s + call.delay_s, 1))
 
 
@@ -206,14 +206,14 @@ def test_the_estimates_and_the_decision_are_told_in_words(
     (record,) = read_records(logs[:1])
     waited = next(call for call in record.calls if call.wait)
     opened(page, one)
-    page.seek(round(waited.result.at_s + waited.result.waited_s / 2, 1))
+    page.seek(round(waited.at_s + waited.waited_s / 2, 1))
     assert "Call under way" in page.text(".now h3")
-    so_far = f"{waited.result.waited_s / 2:.1f}"[:-1]
+    so_far = f"{waited.waited_s / 2:.1f}"[:-1]
     assert f", {so_far}" in page.text(".course")
     assert page.text(".cause").startswith("Waits for s")
     assert "expected: " in page.text(".reasons")
     assert "decided: wait for" in page.text(".reasons")
-    page.seek(round(waited.result.at_s + waited.result.delay_s + 0.1, 1))
+    page.seek(round(waited.at_s + waited.delay_s + 0.1, 1))
     sentence, *particulars = explained_calls(record.events)[record.calls.index(waited)].reasons
     assert page.text(".cause") == sentence
     assert all(particular in page.text(".reasons") for particular in particulars)

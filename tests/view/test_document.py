@@ -141,7 +141,7 @@ def test_a_file_has_every_fact_and_ends(logs: tuple[Path, Path]) -> None:
     for number, record in enumerate(read_records(logs)):
         facts = [fact for batch in batches if batch["log"] == number for fact in batch["facts"]]
         delays = [fact["delay_s"] for fact in facts if fact["fact"] == "call"]
-        assert delays == [call.result.delay_s for call in record.calls]
+        assert delays == [call.delay_s for call in record.calls]
 
 
 def test_what_a_log_says_is_never_markup(tmp_path: Path) -> None:

@@ -60,7 +60,7 @@ def test_the_forecast_is_told_as_the_mission_begins(told: list[Fact], record: Re
     (forecast,) = those(facts.Forecast, told)
     assert forecast.ends_s == pytest.approx(record.result.mission_time_s, rel=0.02)
     assert len(forecast.reached_s) == 121
-    reached_s = [call.result.at_s for call in record.calls]
+    reached_s = [call.at_s for call in record.calls]
     assert forecast.reached_s == pytest.approx(reached_s, abs=0.03 * forecast.ends_s)
     assert forecast.finish_by_s is None
 

@@ -37,7 +37,7 @@ _COUNTED = (
     }
 )
 _RARE = (
-    "in_time", "late", "second_servers",
+    "in_time", "late", "second_servers", "wait", "fell_back",
     "hidden_s", "first_s", "first_answers", "first_alone", "went_on", "turns_back", "never_ready", "not_acted_on",
     "not_looked_at", "failed_calls", "offloading_failed", "unanswered",
 )  # fmt: skip
@@ -51,7 +51,8 @@ class CallResult:
     `place` is where the call ran in the end: "local" for the drone, or a server's name. `delay_s` is the delay of the
     answer, `waited_s` the part spent waiting for a server. The mission made the call at `at_s` of its time. `asked`
     is the operation that the mission asked for, if a lighter one ran. During `hidden_s` of the delay the mission did
-    other things. Of a call with two answers the first was there after `first_s`.
+    other things. Of a call with two answers the first was there after `first_s`. `wait` says how a wait for a server
+    ended; the drone computed a call that `fell_back` after a server had it.
     """
 
     waypoint: int | None
@@ -64,6 +65,8 @@ class CallResult:
     asked: str = ""
     hidden_s: float = 0.0
     first_s: float | None = None
+    wait: str = ""
+    fell_back: bool = False
 
     @property
     def key(self) -> str:
@@ -356,6 +359,8 @@ def _call(event: schema.Call, waypoint: int | None, began_s: float) -> CallResul
         at_s=event.t - event.delay_s - began_s,
         asked=event.asked,
         first_s=event.first_s,
+        wait=event.wait,
+        fell_back=event.fell_back,
     )
 
 

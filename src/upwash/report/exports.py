@@ -79,11 +79,10 @@ def write_csv(records: Sequence[Record]) -> str:
          "east_m", "north_m", "decision", *hidden]
     )  # fmt: skip
     for record in records:
-        for call in record.calls:
-            result, place = call.result, call.position
+        for result, place in zip(record.calls, record.places, strict=True):
             rows.writerow(
                 map(cell, [record.name, result.waypoint, result.at_s, result.operation, result.place, result.delay_s,
-                 result.waited_s, call.wait, int(call.fell_back), place.east_m if place else None,
+                 result.waited_s, result.wait, int(result.fell_back), place.east_m if place else None,
                  place.north_m if place else None, result.decision, *(getattr(result, each) for each in hidden)])
             )  # fmt: skip
     return text.getvalue()
@@ -129,10 +128,9 @@ def _features(record: Record) -> Iterator[dict[str, Any]]:
         yield _line(record, "track", track)
     for waypoint, place in record.turns:
         yield _feature(record, "turn", "Point", _degrees(frame, place), waypoint=waypoint)
-    for call in record.calls:
-        if call.position is not None:
-            facts = as_json(call.result)
-            yield _feature(record, "call", "Point", _degrees(frame, call.position), **facts)
+    for call, made_at in zip(record.calls, record.places, strict=True):
+        if made_at is not None:
+            yield _feature(record, "call", "Point", _degrees(frame, made_at), **as_json(call))
     yield from _photos(record, frame)
     yield from _autopilot_photos(record)
 

@@ -13,6 +13,7 @@ from upwash.core.geo import Position
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.log import EventLog
+from upwash.eventlog.reasons import CallText
 from upwash.eventlog.results import CallResult, RunResult
 from upwash.eventlog.schema import Event
 from upwash.report.findings import Finding
@@ -24,30 +25,6 @@ from upwash.report.reviews import NO_REVIEWS, Reviews, read_reviews
 from upwash.report.story import OpenAnswer, Story, Stretch, place_of
 from upwash.support.progress import work
 from upwash.support.text import by_name
-
-
-@dataclass(frozen=True, slots=True)
-class ReportedCall:
-    """One call, where the drone was then, whether it waited, and whether it fell back to the drone."""
-
-    result: CallResult
-    position: Position | None
-    wait: str
-    fell_back: bool
-
-    @property
-    def place(self) -> str:
-        """What people call the place where it ran: the server's name, or the drone."""
-        return self.result.server or "drone"
-
-
-@dataclass(frozen=True, slots=True)
-class WorstCall:
-    """One of the calls that lost most against the best place for them, and why it ran where it ran, in sentences."""
-
-    call: ReportedCall
-    loss_s: float
-    reasons: Sequence[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +63,6 @@ class Record:
     story: Story
     events: Iterable[Event]
     result: RunResult
-    calls: Sequence[ReportedCall]
     stretches: Mapping[str, Sequence[Stretch]]
     notices: Notices
     reviews: Reviews = NO_REVIEWS
@@ -132,12 +108,19 @@ class Record:
         return [(server, place) for (server, _, _), place in self.story.measured.items()]
 
     @property
-    def worst(self) -> list[WorstCall]:
+    def calls(self) -> Sequence[CallResult]:
+        """The calls, in the order of their ends."""
+        return self.result.calls
+
+    @property
+    def places(self) -> Sequence[Position | None]:
+        """Where the drone made each of them, if that is known."""
+        return self.story.places
+
+    @property
+    def worst(self) -> Sequence[CallText]:
         """The calls that lost most, the worst first."""
-        return [
-            WorstCall(self.calls[text.call.number], text.call.loss_s, text.reasons)
-            for text in self.story.worst
-        ]
+        return self.story.worst
 
     @property
     def turns(self) -> Iterator[tuple[int | None, Position]]:
@@ -233,7 +216,6 @@ def _record(events: Iterable[Event], log: Path, name: str) -> Record:
             story=story,
             events=MissionEvents(events, first, end),
             result=result,
-            calls=[ReportedCall(call, *facts) for call, facts in zip(result.calls, story.calls, strict=True)],
             stretches=story.stretches,
             notices=notices.notices(result),
         )

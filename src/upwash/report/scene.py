@@ -23,7 +23,7 @@ from foxglove.messages import (
 from upwash.core.geo import Circle, Position
 from upwash.core.knowledge.servers import State
 from upwash.report.palette import DARK, components
-from upwash.report.record import Record, ReportedCall
+from upwash.report.record import Record
 from upwash.report.story import Stretch
 
 FRAME = "home"  # east, north and up of it
@@ -60,10 +60,10 @@ def scene(record: Record, time_of: Callable[[float], Timestamp]) -> Iterator[tup
                 yield update(stretch.from_s, _range(server, area, stretch, time_of(stretch.from_s)))
     for fix in record.track:
         yield update(fix.at_s, _drone(fix.position, time_of(fix.at_s)))
-    for index, call in enumerate(record.calls):
-        if call.position is not None:
-            ended_s = call.result.at_s + call.result.delay_s
-            yield update(ended_s, _call(index, call, call.position, record, time_of(ended_s)))
+    for index, (call, place) in enumerate(zip(record.calls, record.places, strict=True)):
+        if place is not None:
+            ended_s = call.at_s + call.delay_s
+            yield update(ended_s, _call(index, call.server, place, record, time_of(ended_s)))
 
 
 def _plan(record: Record, time: Timestamp) -> SceneEntity:
@@ -117,12 +117,12 @@ def _drone(place: Position, time: Timestamp) -> SceneEntity:
     )
 
 
-def _call(index: int, call: ReportedCall, place: Position, record: Record, time: Timestamp) -> SceneEntity:
+def _call(index: int, server: str | None, place: Position, record: Record, time: Timestamp) -> SceneEntity:
     return SceneEntity(
         timestamp=time,
         frame_id=FRAME,
-        id=f"call {index}: {call.place}",
-        spheres=[_ball(place, _CALL_M, _colour(call.result.server, record))],
+        id=f"call {index}: {server or 'drone'}",
+        spheres=[_ball(place, _CALL_M, _colour(server, record))],
     )
 
 

@@ -45,18 +45,11 @@ def schema_of(kind: type[Plotted]) -> dict[str, Any]:
 def plotted_calls(record: Record) -> Iterator[tuple[float, PlottedCall]]:
     """Each call, at the second of the mission at which it ended."""
     for call in record.calls:
-        result = call.result
-        yield (
-            result.at_s + result.delay_s,
-            PlottedCall(
-                result.waypoint,
-                result.operation,
-                call.place,
-                result.delay_s,
-                result.waited_s,
-                call.fell_back,
-            ),
+        place = call.server or "drone"
+        plotted = PlottedCall(
+            call.waypoint, call.operation, place, call.delay_s, call.waited_s, call.fell_back
         )
+        yield call.at_s + call.delay_s, plotted
 
 
 def plotted_states(record: Record) -> Iterator[tuple[str, float, PlottedState]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from upwash.eventlog.progress import clock
+from upwash.eventlog.reasons import CallText
 from upwash.report import tables
 from upwash.report.dots import draw_differences, draw_times
 from upwash.report.endings import draw_endings, draw_urgent
@@ -14,7 +15,7 @@ from upwash.report.markup import Markup, element, joined
 from upwash.report.numbering import are_a_fleet
 from upwash.report.outcome import lasting, what_it_came_to
 from upwash.report.photos import PhotoShelf
-from upwash.report.record import Record, WorstCall, reviewed_of
+from upwash.report.record import Record, reviewed_of
 
 _SIDE_BY_SIDE = 3  # flights; more are summed up first, and folded each
 _PICTURES = 60
@@ -161,10 +162,10 @@ def _worst_calls(record: Record) -> Markup:
     return element("ol", *map(_explained, record.worst))
 
 
-def _explained(worst: WorstCall) -> Markup:
-    result = worst.call.result
-    where = "before the first waypoint" if result.waypoint is None else f"waypoint {result.waypoint}"
-    at = f"ended at {clock(result.at_s + result.delay_s)}, {worst.loss_s:.1f} s lost"
-    heading = element("strong", f"{where}: {result.operation}, {at}")
+def _explained(worst: CallText) -> Markup:
+    call, outcome = worst.call, worst.call.outcome
+    where = "before the first waypoint" if call.waypoint is None else f"waypoint {call.waypoint}"
+    at = f"ended at {clock(call.at_s + outcome.delay_s)}, {call.loss_s:.1f} s lost"
+    heading = element("strong", f"{where}: {outcome.operation}, {at}")
     reasons = [element("li", reason) for reason in worst.reasons]
     return element("li", heading, element("ul", *reasons) if reasons else "")

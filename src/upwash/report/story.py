@@ -45,10 +45,10 @@ class Story:
     """Follows one run; a log's `LogOpened` begins another one, for another story.
 
     `opening` is the first event, `plan` the first plan, and `drone` None before the mission began. `found` and
-    `explained` are what the last event told: objects, and the call that it ended or the answer that it took. `calls`
-    has of each call where the drone made it, how it waited, and whether it fell back to the drone; `worst` those that
-    lost most. `steps` has the states of each server, with their seconds of the log and their reasons; `measured`
-    what is known of servers without a range, by server and place.
+    `explained` are what the last event told: objects, and the call that it ended or the answer that it took. `places`
+    are those where the drone made each call, and `worst` has the calls that lost most, the worst first. `steps` has
+    the states of each server, with their seconds of the log and their reasons; `measured` what is known of servers
+    without a range, by server and place.
     """
 
     def __init__(self) -> None:
@@ -60,7 +60,7 @@ class Story:
         self.tally = Tally()
         self.reasons = Reasons()
         self.explained: ExplainedCall | ExplainedAnswer | None = None
-        self.calls: list[tuple[Position | None, str, bool]] = []
+        self.places: list[Position | None] = []
         self.worst: list[CallText] = []
         self.finder = Finder()
         self.found: Sequence[Finding] = ()
@@ -98,8 +98,8 @@ class Story:
 
     def _take_explained(self, explained: ExplainedCall | ExplainedAnswer | None) -> None:
         match explained:
-            case ExplainedCall(outcome=outcome):
-                self.calls.append((explained.position, outcome.wait, outcome.fell_back))
+            case ExplainedCall():
+                self.places.append(explained.position)
                 self.worst = worst_of([*self.worst, CallText(explained)], _WORST)
             case ExplainedAnswer(number=number):
                 for text in self.worst:

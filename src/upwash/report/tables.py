@@ -12,7 +12,7 @@ from upwash.eventlog.progress import clock
 from upwash.eventlog.results import CallResult, mean_local_delay_s
 from upwash.report.markup import Markup, element, joined
 from upwash.report.numbering import PlacedFinding
-from upwash.report.record import Record, ReportedCall
+from upwash.report.record import Record
 from upwash.report.story import OpenAnswer, Stretch
 from upwash.support.text import counted
 
@@ -208,16 +208,16 @@ def calls(record: Record) -> Markup:
     """The calls, by waypoint."""
     goes = bool(record.result.totals.hidden_s)
 
-    def row(call: ReportedCall) -> list[str]:
+    def row(call: CallResult) -> list[str]:
         return [
-            _at(call.result.waypoint),
-            clock(call.result.at_s + call.result.delay_s),
-            _ran_as(call.result),
-            call.place,
-            f"{call.result.delay_s:.2f} s",
-            f"{call.result.waited_s:.2f} s, {call.wait}" if call.wait else "",
-            *([f"{call.result.hidden_s:.2f} s" if call.result.hidden_s else ""] if goes else []),
-            call.result.decision,
+            _at(call.waypoint),
+            clock(call.at_s + call.delay_s),
+            _ran_as(call),
+            call.server or "drone",
+            f"{call.delay_s:.2f} s",
+            f"{call.waited_s:.2f} s, {call.wait}" if call.wait else "",
+            *([f"{call.hidden_s:.2f} s" if call.hidden_s else ""] if goes else []),
+            call.decision,
         ]
 
     hidden = ["hidden"] if goes else []
