@@ -63,3 +63,10 @@ def test_the_help_and_the_page_name_every_code(capsys: pytest.CaptureFixture[str
     for code in ExitCode:
         assert f"{code:<4}{MEANINGS[code]}" in told
         assert f"| {code:d} | " in page.partition("## How a command ends")[2]
+
+
+def test_a_command_that_there_is_not_is_refused_with_the_nearest_one(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["-v", "simulte", "thesis.toml"]) == ExitCode.USAGE
+    assert 'unknown command "simulte"; did you mean "simulate"?' in capsys.readouterr().err

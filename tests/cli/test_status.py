@@ -7,8 +7,11 @@ import math
 from typing import Any
 
 import msgspec
+import pytest
 from rich.console import Console
 
+from upwash.cli.exit_codes import ExitCode
+from upwash.cli.main import main
 from upwash.cli.status import print_status
 from upwash.core.admission.admission import AdmissionController
 from upwash.core.admission.clients import Client, DoorStatus, Role
@@ -133,3 +136,22 @@ def test_of_many_drones_the_latest_are_shown() -> None:
     shown = printed(host.servers(now_s=30.0))[5:]
     assert shown[0].startswith("  d29 ") and shown[-1] == "  and 10 more: see --json"
     assert len(shown) == 21
+
+
+def test_a_daemon_is_asked_again_until_the_watch_is_stopped(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    replies = [StatusReply(up_s, [], [], []) for up_s in (5.0, 10.0)]
+
+    async def ask(address: str, **_: object) -> StatusReply:
+        if not replies:
+            raise KeyboardInterrupt
+        return replies.pop(0)
+
+    monkeypatch.setattr("upwash.cli.status.ask_status", ask)
+    monkeypatch.setattr("upwash.cli.status._WATCH_S", 0.0)
+    assert main(["status", "127.0.0.1:1", "--watch"]) == ExitCode.INTERRUPTED
+    assert [line for line in capsys.readouterr().out.splitlines() if "up for" in line] == [
+        "up for 5 s",
+        "up for 10 s",
+    ]

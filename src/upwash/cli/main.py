@@ -85,6 +85,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int:
+    command = next((word for word in arguments if not word.startswith("-")), None)
+    if command is not None and command not in _COMMANDS:
+        from upwash.config.problems import unknown  # only needed for errors
+
+        return _complain(UsageError(unknown("command", command, _COMMANDS)), ExitCode.USAGE)
     parser = command_line(arguments)
     options = parser.parse_args(arguments)
     if "run" not in options:

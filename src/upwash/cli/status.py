@@ -16,7 +16,7 @@ from rich.text import Text
 
 from upwash.cli.arguments import OneOf, announce, option, reads
 from upwash.cli.inventory import DIGITS, SOON_DAYS, print_views, views
-from upwash.config import read_inventory
+from upwash.config import ListedServer, read_inventory
 from upwash.core.admission.clients import (
     AccountStatus,
     DroneUsage,
@@ -57,7 +57,7 @@ ARGUMENTS = {
     "shown": OneOf(
         {
             "--json": "print the answer as JSON, for programs",
-            "--watch": "with --inventory: ask again every 5 s, until Ctrl-C",
+            "--watch": "ask again every 5 s, until Ctrl-C",
         }
     ),
 }
@@ -67,36 +67,40 @@ def run(options: argparse.Namespace) -> bool:
     """Ask the daemon, or each of the list, and print the answers; true where no server of a list has a problem."""
     if (options.address is None) == (options.inventory is None):
         raise UsageError("name a daemon's address, or a list of servers by --inventory FILE: one of them")
-    if options.inventory is not None:
-        return _run_on_many(options)
-    if options.watch:
-        raise UsageError("--watch shows a list of servers: give --inventory FILE in place of the address")
+    if options.inventory is not None and options.server:
+        raise UsageError("--server is for an address: the list of --inventory names its servers")
+    servers = read_inventory(options.inventory) if options.inventory else []
+    console = Console(markup=False)
+    while True:
+        is_well = _ask_each(servers, options, console) if options.inventory else _ask(options, console)
+        if not options.watch:
+            return is_well
+        time.sleep(_WATCH_S)
+
+
+def _ask(options: argparse.Namespace, console: Console) -> bool:
     reply = asyncio.run(
         ask_status(options.address, server=options.server, operator=options.operator, keys=options.keys)
     )
     if options.json:
         announce(msgspec.json.encode(reply).decode())
-    else:
-        print_status(reply, Console(markup=False))
+        return True
+    if options.watch:
+        console.clear()
+    print_status(reply, console)
     return True
 
 
-def _run_on_many(options: argparse.Namespace) -> bool:
-    if options.server:
-        raise UsageError("--server is for an address: the list of --inventory names its servers")
-    servers, console = read_inventory(options.inventory), Console(markup=False)
-    while True:
-        replies = asyncio.run(ask_each(servers, operator=options.operator, keys=options.keys))
-        found = views(servers, replies, datetime.now(UTC))
-        if options.json:
-            announce(msgspec.json.encode(found).decode())
-        else:
-            if options.watch:
-                console.clear()
-            print_views(found, console)
-        if not options.watch:
-            return not any(view.wrong for view in found)
-        time.sleep(_WATCH_S)
+def _ask_each(servers: Sequence[ListedServer], options: argparse.Namespace, console: Console) -> bool:
+    replies = asyncio.run(ask_each(servers, operator=options.operator, keys=options.keys))
+    found = views(servers, replies, datetime.now(UTC))
+    if options.json:
+        announce(msgspec.json.encode(found).decode())
+    else:
+        if options.watch:
+            console.clear()
+        print_views(found, console)
+    return not any(view.wrong for view in found)
 
 
 def print_status(status: StatusReply, console: Console) -> None:
