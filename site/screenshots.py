@@ -224,7 +224,7 @@ def survey(folder: Path) -> list[Path]:
     run = folder / "solar-park"
     run.mkdir()
     with contextlib.redirect_stdout(io.StringIO()):
-        fly_demonstration(run, closer, runtime="", live_port=None)
+        fly_demonstration(run, closer, runtime="", live=None)
     return [run / "events.jsonl"]
 
 

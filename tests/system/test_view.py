@@ -15,12 +15,14 @@ import pytest
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 from tests.events import line
+from tests.maps import folder_with, tiles_around
 from tests.programs import UPWASH, upwash
 from tests.scenarios import scenario
 from tests.system.browser import NEEDED, Browser, view_of
 from tests.waiting import wait_for
 
 from upwash import read_log, read_result
+from upwash.cli.main import main
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
 from upwash.eventlog.progress import clock
@@ -568,6 +570,23 @@ def test_map_tiles_are_loaded_where_they_are_asked_for(
         assert x == pytest.approx((22.95 + 180) / 360 * 2**zoom, abs=3)
         assert y == pytest.approx(0.38086 * 2**zoom, abs=3), "39.37 degrees north, in Web Mercator"
         assert page.errors() == []
+
+
+def test_map_tiles_of_a_folder_are_served_and_lie_in_a_report(
+    page: Browser, logs: tuple[Path, Path], tmp_path: Path
+) -> None:
+    folder = folder_with(tiles_around(39.3666, 22.95, range(14, 20)), tmp_path / "map")
+    tiles = "[...document.querySelectorAll('.leaflet-tile')]"
+    shown = f"return {tiles}.filter((tile) => tile.naturalWidth).map((tile) => tile.src)"
+    with view_of(logs[0], "--tiles", folder) as address:
+        opened(page, address)
+        page.wait_until(lambda: any("/tiles/" in source for source in page.run(shown)))
+        assert page.errors() == []
+    made = tmp_path / "report.html"
+    assert main(["report", str(logs[0]), "-o", str(made), "--tiles", str(folder)]) == 0
+    page.open(made.as_uri())
+    page.wait_until(lambda: any(source.startswith("data:image/png") for source in page.run(shown)))
+    assert page.errors() == []
 
 
 # --- live -----------------------------------------------------------------------------------------------------

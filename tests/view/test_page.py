@@ -15,9 +15,7 @@ import pytest
 from tests.report.test_findings import BOX, flight
 
 from upwash.cli.main import main
-from upwash.errors import UsageError
 from upwash.launch.processes import ready_program
-from upwash.view.tiles import Tiles
 
 pytestmark = pytest.mark.system
 
@@ -218,22 +216,3 @@ def test_a_port_in_use_is_told(address: str, log: Path) -> None:
 def test_what_is_no_port_is_refused(log: Path, port: str) -> None:
     with pytest.raises(SystemExit):
         main(["view", str(log), f"--port={port}"])
-
-
-@pytest.mark.parametrize(
-    "url",
-    [
-        "tiles/{z}/{x}/{y}.png", "file:///{z}/{x}/{y}.png", "https://tiles.example/{z}/{x}.png",
-        "https://tiles.example; script-src *//{z}/{x}/{y}.png", "https://tiles.example/{z}/{x}/{y}.png\nX: y",
-    ],
-)  # fmt: skip
-def test_what_are_no_tiles_is_refused(url: str) -> None:
-    with pytest.raises(UsageError, match="no address of map tiles"):
-        Tiles(url)
-
-
-def test_only_images_are_allowed_from_where_tiles_are() -> None:
-    assert Tiles("https://tiles.example:8443/{z}/{x}/{y}.png").sources == (
-        "https://tiles.example:8443",
-        "data:",
-    )

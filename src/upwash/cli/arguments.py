@@ -117,6 +117,11 @@ def read_path(text: str) -> Path:
     return Path(text)
 
 
+def read_map(text: str) -> Path | str:
+    """A map of this machine that the command reads, or the URL of another machine's tiles."""
+    return text if text.startswith(("http://", "https://")) else Path(text)
+
+
 def written_path(text: str) -> Path:
     """A file, or a new folder, that the command writes or continues."""
     return Path(text)
@@ -144,7 +149,7 @@ def fills(help_: str, **more: Any) -> dict[str, Any]:
 
 def inputs_of(options: argparse.Namespace) -> Iterator[tuple[str, Path]]:
     """What names each input among the options, and its path."""
-    return ((name, path) for name, path, action in _paths(options) if action.type is read_path)
+    return ((name, path) for name, path, action in _paths(options) if action.type in (read_path, read_map))
 
 
 def outputs_of(options: argparse.Namespace) -> Iterator[Output]:
@@ -218,14 +223,40 @@ def _formats(text: str) -> tuple[str, ...]:
 
 CALLS = {"--calls": "print a row for each call at the end (default: of up to 20 calls)"}
 FOLDER = {"--folder": fills("where everything of the run goes (default: runs/TIME)")}
+MAP = {
+    "--tiles MAP": option(
+        "lay map tiles beneath: a folder with ZOOM/X/Y.png, a file .mbtiles or .pmtiles, or "
+        "https://HOST/{z}/{x}/{y}.png (default: none)",
+        type=read_map,
+    ),
+    "--credit TEXT": option("the credit to show for the tiles (default: what the file says)", default=""),
+}
 LIVE = {
     "--live PORT": option(
         f"show it on a page on this machine meanwhile (default: {LIVE_PORT}; 0: any port)",
         type=port,
         nargs="?",
         const=LIVE_PORT,
-    )
+    ),
+    **MAP,
 }
+
+
+class Live(NamedTuple):
+    """A page that shows a flight meanwhile: its port on this machine, and the map beneath."""
+
+    port: int
+    tiles: Path | str | None = None
+    credit: str = ""
+
+
+def live_of(options: argparse.Namespace) -> Live | None:
+    """What --live and --tiles ask for; raises UsageError."""
+    if options.live is None:
+        if options.tiles:
+            raise UsageError("--tiles lies beneath the map of a page: give --live too")
+        return None
+    return Live(options.live, options.tiles, options.credit)
 
 
 def flown_by(config: DroneConfig, connection: str | None) -> DroneConfig:

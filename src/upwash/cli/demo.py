@@ -9,6 +9,7 @@ from upwash.cli.arguments import (
     FOLDER,
     LIVE,
     count,
+    live_of,
     new_run_folder,
     option,
     policy_instead_of,
@@ -55,8 +56,8 @@ def run(options: argparse.Namespace) -> bool:
     folder = options.folder or new_run_folder()
     runtime = read_named_text(options.runtime, most_bytes=_MOST_RUNTIME_BYTES) if options.runtime else ""
     if options.drones == 1:
-        fly_demonstration(folder, config, runtime=runtime, live_port=options.live, calls=options.calls)
+        fly_demonstration(folder, config, runtime=runtime, live=live_of(options), calls=options.calls)
         return True
     with extra("emulation"):
         from upwash.cli.demonstration_fleet import fly_fleet
-    return fly_fleet(folder, config, options.drones, runtime=runtime, live_port=options.live)
+    return fly_fleet(folder, config, options.drones, runtime=runtime, live=live_of(options))

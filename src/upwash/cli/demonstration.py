@@ -15,6 +15,7 @@ from msgspec import convert
 from msgspec.structs import replace
 from rich.console import Console
 
+from upwash.cli.arguments import Live
 from upwash.cli.fly import fly_with_progress
 from upwash.config import DroneConfig, MissionConfig, PhotosConfig, read_drone_config, told_in_numbers
 from upwash.core.geo import Position, ground_distance_m
@@ -68,11 +69,11 @@ def filled_in(config: DroneConfig, folder: Path, *, vehicle: str, servers: Mappi
 
 
 def fly_demonstration(
-    folder: Path, config: DroneConfig, *, runtime: str, live_port: int | None, calls: bool = False
+    folder: Path, config: DroneConfig, *, runtime: str, live: Live | None, calls: bool = False
 ) -> None:
     """Fly with all files below `folder`; every process has ended when it returns or raises.
 
-    `runtime` is a table [runtime] of the daemons' configuration, in TOML. With `live_port` a page shows the flight.
+    `runtime` is a table [runtime] of the daemons' configuration, in TOML. With `live` a page shows the flight.
     With `calls` the result has a row for each call.
     """
     console = Console(markup=False)
@@ -84,7 +85,7 @@ def fly_demonstration(
     ):
         here = filled_in(config, folder, vehicle=vehicle, servers=servers)
         say(f"the vehicle is at {vehicle}, the servers at {', '.join(servers.values())}", console)
-        fly_with_progress(here, log=folder / "events.jsonl", live_port=live_port, calls=calls)
+        fly_with_progress(here, log=folder / "events.jsonl", live=live, calls=calls)
     say(score_photos([folder / "events.jsonl"]).in_words(), console)
 
 

@@ -16,6 +16,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from upwash.cli.arguments import Live
 from upwash.cli.demonstration import filled_in, ready_daemons, score_photos
 from upwash.cli.fly import shown_live
 from upwash.config import DroneConfig, MissionConfig, waypoints
@@ -44,7 +45,7 @@ _LOOK_S = 0.1
 _log = logging.getLogger("upwash.demonstration")
 
 
-def fly_fleet(folder: Path, config: DroneConfig, drones: int, *, runtime: str, live_port: int | None) -> bool:
+def fly_fleet(folder: Path, config: DroneConfig, drones: int, *, runtime: str, live: Live | None) -> bool:
     """Fly with that number of drones, as `fly_demonstration`; true where every flight was completed."""
     console = Console(markup=False)
     names = [server.name for server in config.servers]
@@ -68,7 +69,7 @@ def fly_fleet(folder: Path, config: DroneConfig, drones: int, *, runtime: str, l
             f"{counted(len(fleet), 'vehicle')}; the servers are at {', '.join(servers.values())}",
             soft_wrap=True,
         )
-        processes.enter_context(shown_live(list(logs.values()), live_port))
+        processes.enter_context(shown_live(list(logs.values()), live))
         progress = processes.enter_context(FleetProgress(list(logs), len(waypoints(config.mission)), console))
         exit_codes = asyncio.run(_fly(files, logs, progress))
     results = {name: DemonstratedFlight.of(log, exit_codes[name]) for name, log in logs.items()}

@@ -18,9 +18,11 @@ from typing import TYPE_CHECKING
 from upwash.cli.arguments import (
     CALLS,
     LIVE,
+    Live,
     OneOf,
     config_of,
     flown_by,
+    live_of,
     new_run_folder,
     option,
     warn_of_files,
@@ -99,7 +101,7 @@ def run(options: argparse.Namespace) -> None:
         takes_over=_takes_over(options, log),
         resumes=options.resume is not None,
         show=Show.JSON if options.json else Show.NOTHING if options.quiet else Show.PROGRESS,
-        live_port=options.live,
+        live=live_of(options),
         calls=options.calls,
     )
 
@@ -127,14 +129,14 @@ def fly_with_progress(
     log: Path,
     resumes: bool = False,
     show: Show = Show.PROGRESS,
-    live_port: int | None = None,
+    live: Live | None = None,
     calls: bool = False,
     takes_over: Sequence[str] = (),
 ) -> None:
     """Fly the mission, and show its course and its result; raises the error that ended it early.
 
     With `resumes` the flight continues the mission of that log, and the result is that of the whole. What the mission
-    itself prints goes to standard error with Show.JSON. With `live_port` a page on that port of this machine shows
+    itself prints goes to standard error with Show.JSON. With `live` a page of this machine shows
     the flight while it lasts; 0 is any port. With `calls` the result has a row for each call. `takes_over` is as for
     `fly`. Raises NotKept where the mission was flown, and a part of its log or of its output could not be written.
     """
@@ -153,11 +155,11 @@ def fly_with_progress(
                 problems.append(f"standard output could not be written ({output.trouble.strerror})")
             return problems
 
-        if live_port is not None and not resumes:
+        if live is not None and not resumes:
             log.parent.mkdir(parents=True, exist_ok=True)
             log.touch()  # the page shows a flight that has yet to begin
         try:
-            with shown_live([log], live_port, photos=config.camera.folder), _shown(config, show) as shown:
+            with shown_live([log], live, photos=config.camera.folder), _shown(config, show) as shown:
                 asyncio.run(
                     fly(
                         config,
@@ -181,20 +183,21 @@ def fly_with_progress(
 
 
 @contextlib.contextmanager
-def shown_live(logs: Sequence[Path], port: int | None, *, photos: Path | None = None) -> Iterator[None]:
-    """Show the logs, which must exist, on a page on that port until the end of the block; 0 is any port.
+def shown_live(logs: Sequence[Path], live: Live | None, *, photos: Path | None = None) -> Iterator[None]:
+    """Show the logs, which must exist, on a page until the end of the block.
 
-    The page is served by a process of its own: no flight waits for it. Without a port nothing is shown. `photos` is
+    The page is served by a process of its own: no flight waits for it. Without `live` nothing is shown. `photos` is
     the folder of the photos that the logs name.
     """
-    if port is None:
+    if live is None:
         yield
         return
     with extra("view"):
         import uvicorn  # noqa: F401 - asked here, as the page is another process's
 
-    arguments = ["view", *map(str, logs), "--port", str(port)]
+    arguments = ["view", *map(str, logs), "--port", str(live.port)]
     arguments += ["--photos", str(photos)] if photos else []
+    arguments += ["--tiles", str(live.tiles), "--credit", live.credit] if live.tiles else []
     with ready_program(f"{logs[0].stem}-view", logs[0].parent, *arguments) as address:
         _console(stderr=True).print(f"live view: {address}", soft_wrap=True)
         yield

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
-from upwash.cli.arguments import PRINTED, reads, writes
+from upwash.cli.arguments import MAP, PRINTED, reads, writes
 from upwash.cli.client_document import CLIENT, client_document_of
 from upwash.cli.other_policies import OTHERS_FLY, others_flown
 from upwash.errors import UsageError
@@ -24,6 +24,7 @@ from upwash.support.progress import work
 from upwash.support.spared import require_unwritten
 from upwash.support.standard_streams import print_bytes
 from upwash.view.file import write_page
+from upwash.view.tiles import base_map
 
 Writer = Callable[[Sequence[Record]], bytes | Iterable[bytes]]
 
@@ -45,6 +46,7 @@ ARGUMENTS = {
         action="append",
         default=[],
     ),
+    **MAP,
     **CLIENT,
     "--unreviewed": "the findings as the flight told them, without the reviews beside the logs",
     "--json": "print the results as one JSON array",
@@ -121,6 +123,8 @@ def _require_sense(options: argparse.Namespace) -> None:
         raise UsageError(
             "--scenario goes with -o, without --client: only the flight page says what other policies would have done"
         )
+    if options.tiles and (not options.out or options.client):
+        raise UsageError("--tiles goes with -o, without --client: only the flight page has a map of tiles")
     if options.dataset:
         if options.unreviewed:
             raise UsageError("--dataset has what was accepted, so it does not go with --unreviewed")
@@ -139,7 +143,10 @@ def _tell_reviews(records: Sequence[Record]) -> None:
 def _page(records: Sequence[Record], *, options: argparse.Namespace) -> Iterable[bytes]:
     flown = others_flown(options.logs, options.scenario)
     photos = options.photos[0] if options.photos else None
-    return write_page(options.logs, records, photos=photos, flown=flown, unreviewed=options.unreviewed)
+    beneath = base_map(str(options.tiles), options.credit) if options.tiles else None
+    return write_page(
+        options.logs, records, photos=photos, flown=flown, unreviewed=options.unreviewed, beneath=beneath
+    )
 
 
 def _in_utf8(write: Callable[[Sequence[Record]], str]) -> Writer:

@@ -6,7 +6,7 @@ import argparse
 import asyncio
 import os
 
-from upwash.cli.arguments import LIVE_PORT, announce, option, port, reads
+from upwash.cli.arguments import LIVE_PORT, MAP, announce, option, port, reads
 from upwash.cli.other_policies import OTHERS_FLY, others_flown
 from upwash.report.reviews import logs_among
 from upwash.support.loading import extra
@@ -23,8 +23,7 @@ ARGUMENTS = {
     "--port": option(f"on this machine (default: {LIVE_PORT}; 0: any)", type=port, default=LIVE_PORT),
     "--scenario FILE": reads(OTHERS_FLY),
     "--photos FOLDER": reads("where the photos are that the log names"),
-    "--tiles URL": "load map tiles from there: https://HOST/{z}/{x}/{y}.png (default: none)",
-    "--credit TEXT": option("the credit to show for the tiles", default=""),
+    **MAP,
 }
 
 
@@ -32,7 +31,7 @@ def run(options: argparse.Namespace) -> None:
     """Serve the page until Ctrl-C."""
     with extra("view"):
         from upwash.view.serve import serve_view
-        from upwash.view.tiles import Tiles
+        from upwash.view.tiles import base_map
 
     os.nice(_NICENESS)
     asyncio.run(
@@ -41,7 +40,7 @@ def run(options: argparse.Namespace) -> None:
             port=options.port,
             photos=options.photos,
             flown=others_flown(options.logs, options.scenario),
-            tiles=Tiles(options.tiles, options.credit) if options.tiles else None,
+            beneath=base_map(str(options.tiles), options.credit) if options.tiles else None,
             ready=lambda address: announce(f"view ready at {address}"),
         )
     )

@@ -23,6 +23,7 @@ from upwash.view.desk import Desk
 from upwash.view.document import document, sources
 from upwash.view.feed import Feed
 from upwash.view.news import News
+from upwash.view.tiles import BaseMap, kind_of
 
 _LISTENS_AT = "127.0.0.1"
 _POLICY = (
@@ -39,11 +40,12 @@ _HEADERS = {
 }
 
 
-def application(feed: Feed, photos: PhotoShelf, *, images: Sequence[str] = ()) -> Starlette:
+def application(feed: Feed, photos: PhotoShelf, beneath: BaseMap | None = None) -> Starlette:
     """Serves the page of the feed; nothing but reviews of findings can be written, by the page itself.
 
-    `images` are the sources, in a policy's words, that browsers may load images from besides.
+    `beneath` is the map: its tiles, or the other machine that browsers may load them from.
     """
+    images = beneath.tiles.sources if beneath else ()
     rendering = asyncio.Semaphore(1)
     packing = asyncio.Semaphore(1)
     crop_for = functools.lru_cache(_KEPT_CROPS)(lambda finding: crop_of(finding, photos))
@@ -77,6 +79,15 @@ def application(feed: Feed, photos: PhotoShelf, *, images: Sequence[str] = ()) -
     async def crop(request: Request) -> Response:
         return await picture(request, lambda news: news.story.finder.found, crop_for)
 
+    async def tile(request: Request) -> Response:
+        z, x, y = (request.path_params[name] for name in "zxy")
+        found = None
+        if beneath is not None and beneath.find is not None and z <= beneath.tiles.to_zoom:
+            found = await asyncio.to_thread(beneath.find, z, x, y)
+        if found is None or (kind := kind_of(found)) is None:
+            return Response(status_code=204)  # beyond the map's border there is nothing, which is no error
+        return Response(found, media_type=kind, headers={"Cache-Control": "max-age=86400"})
+
     async def findings(request: Request) -> Response:
         name = request.path_params["format"]
         if name not in FORMATS:
@@ -98,6 +109,7 @@ def application(feed: Feed, photos: PhotoShelf, *, images: Sequence[str] = ()) -
             Route("/photos/{log:int}/{run:int}/{number:int}.jpg", photo),
             Route("/crops/{log:int}/{run:int}/{number:int}.jpg", crop),
             Route("/findings.{format}", findings),
+            Route("/tiles/{z:int}/{x:int}/{y:int}", tile),
         ],
         middleware=[
             Middleware(_Guarded, policy=" ".join((_POLICY, *images))),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import msgspec
 
+from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.eventlog.results import RunResult
 from upwash.report.crops import shrunk
 from upwash.report.finding_files import as_csv, as_geojson, as_kml
@@ -19,6 +20,7 @@ from upwash.support.text import counted
 from upwash.view.document import document
 from upwash.view.feed import Feed
 from upwash.view.recording import Recording, reading
+from upwash.view.tiles import BaseMap, inlined
 
 _POLICY = "default-src 'none'; base-uri 'none'; form-action 'none'; img-src data:"
 _SIDE_BY_SIDE = 3  # flights, which the title names
@@ -62,18 +64,19 @@ def write_page(
     photos: Path | None = None,
     flown: Mapping[str, RunResult] | None = None,
     unreviewed: bool = False,
+    beneath: BaseMap | None = None,
 ) -> Iterator[bytes]:
     """The page about these logs, whose records these are, piece by piece.
 
     Photos are of that folder where the logs name them, and rendered ones. `flown` is what other policies did in the
-    world of the one log, by name. Reviews count, except `unreviewed`, which the records must be too. Raises
-    UsageError for what is no event log.
+    world of the one log, by name. Reviews count, except `unreviewed`, which the records must be too. Of the map
+    `beneath` the page has the tiles around the flights. Raises UsageError for what is no event log.
     """
     names = ", ".join(record.name for record in records)
     title = f"Flight report: {names if len(records) <= _SIDE_BY_SIDE else counted(len(records), 'flight')}"
     begin, end = document(title, policy=_POLICY)
     yield begin.encode()
-    yield from _content(logs, records, photos, flown, unreviewed=unreviewed)
+    yield from _content(logs, records, photos, flown, unreviewed=unreviewed, beneath=beneath)
     yield end.encode()
 
 
@@ -84,16 +87,31 @@ def _content(
     flown: Mapping[str, RunResult] | None,
     *,
     unreviewed: bool,
+    beneath: BaseMap | None,
 ) -> Iterator[bytes]:
     found = [finding.photo.shot for record in records for finding in record.findings if finding.photo]
     album = _Album(photos, itertools.islice(dict.fromkeys(found), _PHOTOS))
     yield draw_sheet(records, album).encode()
+    tiles, kept = inlined(beneath, _places(records)) if beneath else (None, {})
+    if kept:
+        yield from _data("tiles", [msgspec.json.encode(kept)])
     yield from _data("files", [msgspec.json.encode(_files(records))])  # before the facts need memory
     with reading(logs, album.keeps, most_bytes=_MOST_BYTES // len(logs)) as recordings:
-        feed = Feed(recordings, flown=flown, unreviewed=unreviewed)
+        feed = Feed(recordings, tiles, flown, unreviewed=unreviewed)
         yield from _data("told", _items(feed.everything()))
         shown = itertools.islice(_photos(recordings, album), _PHOTOS)
         yield from _data("photos", _members(shown))
+
+
+def _places(records: Sequence[Record]) -> Iterator[GeoPosition]:
+    """The corners of the fields that the flights planned, and of where they flew."""
+    for record in records:
+        if record.plan.home is None:
+            continue
+        flown = ((fix.position.east_m, fix.position.north_m) for fix in record.track)
+        east, north = zip((0.0, 0.0), *record.plan.way_m, *flown, strict=True)
+        frame = LocalFrame(record.plan.home)
+        yield from (frame.geo(Position(min(east), min(north))), frame.geo(Position(max(east), max(north))))
 
 
 def _files(records: Sequence[Record]) -> dict[str, str]:

@@ -21,7 +21,7 @@ from upwash.view.app import application
 from upwash.view.desk import new_reviewing
 from upwash.view.feed import Feed
 from upwash.view.recording import reading
-from upwash.view.tiles import Tiles
+from upwash.view.tiles import BaseMap
 
 _CONNECTIONS = 64
 _GOODBYE_S = 2
@@ -65,21 +65,21 @@ async def serve_view(
     *,
     port: int,
     photos: Path | None,
-    tiles: Tiles | None = None,
+    beneath: BaseMap | None = None,
     flown: Mapping[str, RunResult] | None = None,
     ready: Callable[[str], None],
 ) -> None:
     """Serves a page about the logs on this machine's loopback until SIGTERM or Ctrl-C.
 
     `ready` is called with the address. Port 0 is any that is free. `flown` is what other policies did, by name, in
-    the world of the one log. Raises UsageError for what is no event log.
+    the world of the one log; `beneath` is the map. Raises UsageError for what is no event log.
     """
     shelf = PhotoShelf(photos)
     with reading(logs, shelf.keeps) as recordings, _listening(port) as listener:
-        feed = Feed(recordings, tiles, flown, reviewing=new_reviewing())
+        feed = Feed(recordings, beneath.tiles if beneath else None, flown, reviewing=new_reviewing())
         server = _Server(
             uvicorn.Config(
-                application(feed, shelf, images=tiles.sources if tiles else ()),
+                application(feed, shelf, beneath),
                 http=_Impatient,
                 ws="none",
                 lifespan="off",

@@ -4,6 +4,7 @@ import * as L from "./leaflet/leaflet-src.esm.js";
 
 const PLANE = { crs: L.CRS.Simple, minZoom: -6, maxZoom: 6 };
 const EARTH = { crs: L.CRS.EPSG3857, minZoom: 1, maxZoom: 23 };
+const NOTHING = "data:image/gif;base64,R0lGODlhAQABAAAAACH5BAEKAAEALAAAAAABAAEAAAICTAEAOw==";
 const NOWHERE = { home: [0, 0], metres_per_degree: [111319, 110574] }; // a log may not know where home is
 
 export class Ground {
@@ -40,8 +41,10 @@ export class Ground {
   // What lies beneath, where it is wanted and known.
   layer() {
     if (!this.tiles || this.#origin === NOWHERE) return null;
-    const { maxZoom } = EARTH;
-    return L.tileLayer(this.tiles.url, { maxZoom, maxNativeZoom: 19, referrerPolicy: "strict-origin" });
+    const { url, from_zoom = 0, to_zoom = 19 } = this.tiles;
+    // Farther out, Leaflet would ask for very many tiles of the least zoom.
+    const zooms = { minZoom: from_zoom - 2, maxZoom: EARTH.maxZoom, minNativeZoom: from_zoom, maxNativeZoom: to_zoom };
+    return url ? L.tileLayer(url, { ...zooms, referrerPolicy: "strict-origin" }) : new Inlined("", zooms);
   }
 
   // How far the plan's home is from the one in the middle.
@@ -49,6 +52,15 @@ export class Ground {
     if (!plan?.home || plan === this.#origin) return [0, 0];
     const { home, metres_per_degree } = this.#origin;
     return [(plan.home[1] - home[1]) * metres_per_degree[0], (plan.home[0] - home[0]) * metres_per_degree[1]];
+  }
+}
+
+// Tiles that are in the document, by "z/x/y"; elsewhere there is nothing.
+class Inlined extends L.TileLayer {
+  #tiles = JSON.parse(document.getElementById("tiles")?.textContent ?? "{}");
+
+  getTileUrl({ z, x, y }) {
+    return this.#tiles[`${z}/${x}/${y}`] ?? NOTHING;
   }
 }
 
