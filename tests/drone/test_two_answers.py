@@ -15,10 +15,10 @@ from upwash.config import DroneConfig
 from upwash.drone.resumption import waypoints_done
 from upwash.errors import ConfigError, UsageError
 from upwash.eventlog import schema
+from upwash.eventlog.ending import EndingSoFar
 from upwash.lab.bounds import bound_of
 from upwash.lab.run import Run, simulate
 from upwash.preflight.check import check, read_plan
-from upwash.report.notices import NoticesTaken
 from upwash.services import Detector
 
 # The drone answers in 1 s (light) or 10 s (heavy), the server in 4 s (heavy). A leg of 20 m takes 9 s.
@@ -246,7 +246,7 @@ def test_a_deadline_that_no_server_keeps_is_told_before_take_off_and_in_the_repo
     found = check(read_plan(file), seeds=1, fly=here)
     assert [warning.kind for warning in found.warnings] == ["no-better-answer"]
     run = simulate(read_plan(file).config)
-    notices = NoticesTaken(0.0)
+    ending = EndingSoFar(0.0)
     for event in run.events:
-        notices.take(event)
-    assert "within 3 s, the fastest takes 4 s" in " ".join(notices.notices(run.result).cautions)
+        ending.take(event)
+    assert "within 3 s, the fastest takes 4 s" in " ".join(ending.ending(run.result).cautions)

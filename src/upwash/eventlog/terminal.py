@@ -13,7 +13,9 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from upwash.eventlog import schema
-from upwash.eventlog.narration import LEFT_HOVERING, Narrator, Sentence, Tone, left_undone, spans
+from upwash.eventlog.ending import left_undone, never_ready, reached
+from upwash.eventlog.narration import Narrator, Sentence, Tone
+from upwash.eventlog.notices import LEFT_HOVERING
 from upwash.eventlog.results import EnergyTotals, RunResult, Totals
 from upwash.eventlog.schema import Event
 from upwash.support.sentences import say
@@ -152,8 +154,8 @@ def print_result(
         say(going, console)
     if result.energy is not None:
         say(_energy_line(result.energy), console)
-    for server, why in result.never_ready.items():
-        say(Text(f"{server} never became ready: {printable(why)}", style="yellow"), console)
+    for phrase in never_ready(result):
+        say(Text(printable(phrase), style="yellow"), console)
     if result.offloading_failed:
         why = f"every call ran on the drone after a defect: {printable(result.offloading_failed)}"
         say(Text(why, style="yellow"), console)
@@ -230,10 +232,8 @@ def _energy_line(energy: EnergyTotals) -> str:
 
 
 def _print_waypoints(result: RunResult, console: Console) -> None:
-    undone = f", left undone: {spans(result.undone)}" if result.undone else ""
-    reached = result.waypoints - len(result.undone)
     if result.waypoints:
-        say(f"{reached} of {counted(result.waypoints, 'waypoint')} reached{undone}", console)
+        say(reached(result), console)
     for phrase in left_undone(result):
         say(Text(phrase, style="yellow"), console)
     if result.left_hovering:

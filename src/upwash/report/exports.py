@@ -73,7 +73,7 @@ def write_csv(records: Sequence[Record]) -> str:
     """A row a call; numbers in full precision."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    hidden = ["hidden_s"] if any(record.answers for record in records) else []
+    hidden = ["hidden_s"] if any(record.result.totals.hidden_s for record in records) else []
     rows.writerow(
         ["log", "waypoint", "at_s", "operation", "place", "delay_s", "waited_s", "wait", "fell_back",
          "east_m", "north_m", "decision", *hidden]

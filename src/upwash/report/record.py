@@ -13,14 +13,13 @@ from upwash.core.geo import Position
 from upwash.core.knowledge.servers import State
 from upwash.errors import UsageError
 from upwash.eventlog import schema
+from upwash.eventlog.ending import Ending, EndingSoFar
 from upwash.eventlog.log import EventLog
 from upwash.eventlog.progress import MissionTime
 from upwash.eventlog.reasons import CallText, ExplainedAnswer, ExplainedCall, Reasons, worst_of
 from upwash.eventlog.results import CallResult, RunResult, Tally
 from upwash.eventlog.schema import Event
 from upwash.report.findings import Finder, Finding
-from upwash.report.going import OpenAnswer, OpenAnswers
-from upwash.report.notices import Notices, NoticesTaken
 from upwash.report.numbering import FlightFindings, PlacedFinding
 from upwash.report.outcome import UNPLANNED, Outcome
 from upwash.report.reviewed import ReviewedFindings, reviewed
@@ -115,9 +114,8 @@ class Record:
     """One run; `servers` are those of the plan and of the calls, in the order of their names.
 
     `opened` is the time of day at second 0 of the event log, None for a simulated one; `began_s` is the mission's
-    start in seconds of the log. `simulated` is the simulation's own first line, None for a flight. `answers` are
-    those that the drone went on before, `worst` the calls that lost most, the worst first. `measured` is what
-    was known in the end of servers without a range, place by place.
+    start in seconds of the log. `simulated` is the simulation's own first line, None for a flight. `worst` are the
+    calls that lost most, the worst first.
     """
 
     name: str
@@ -131,16 +129,14 @@ class Record:
     calls: Sequence[ReportedCall]
     worst: Sequence[WorstCall]
     stretches: Mapping[str, Sequence[Stretch]]
-    notices: Notices
+    ending: Ending
     findings: Sequence[Finding] = ()
     reviews: Reviews = NO_REVIEWS
-    answers: Sequence[OpenAnswer] = ()
-    measured: Sequence[tuple[str, schema.MeasuredRecord]] = ()
 
     @property
     def turns(self) -> Iterator[tuple[int | None, Position]]:
         """The waypoints that the drone turned back to, and where it did."""
-        return ((each.waypoint, each.turned_at) for each in self.answers if each.turned_at is not None)
+        return ((each.waypoint, each.position) for each in self.events if isinstance(each, schema.TurnedBack))
 
     @property
     def track(self) -> Iterator[Fix]:
@@ -204,7 +200,7 @@ def record_of(events: Sequence[Event], log: Path) -> Record:
 
 def _record_of_log(events: EventLog, log: Path, name: str) -> Record:
     record = _record(MissionEvents(events), log, name)
-    return replace(record, notices=record.notices.with_caution(events.left_out))
+    return replace(record, ending=record.ending.with_caution(events.left_out))
 
 
 def names_of(logs: Sequence[Path]) -> list[str]:
@@ -219,23 +215,14 @@ def _record(events: MissionEvents, log: Path, name: str) -> Record:
     try:
         plan = events.planned
         tally, calls, track = Tally(), _Calls(), _Track(events.began_s)
-        answers, finder = OpenAnswers(events.began_s), Finder()
-        notices = NoticesTaken(events.began_s)
-        measured = {
-            (server, each.east_m, each.north_m): each
-            for server, known in plan.measured.items()
-            for each in known
-        }
+        finder, ending = Finder(), EndingSoFar(events.began_s)
         states = _States((*plan.ranges, *plan.measured), began_s=events.began_s)
         for event in events:
             tally.take(event)
             calls.take(event)
             states.take(event)
-            answers.take(event)
             finder.take(event)
-            notices.take(event)
-            if isinstance(event, schema.PlaceMeasured):
-                measured[event.server, event.place.east_m, event.place.north_m] = event.place
+            ending.take(event)
             track.take(event)  # whether it can be read is known from here on
         result = tally.result()
         reported = calls.with_results(result.calls)
@@ -251,10 +238,8 @@ def _record(events: MissionEvents, log: Path, name: str) -> Record:
             calls=reported,
             worst=calls.worst(reported),
             stretches=states.stretches(),
-            notices=notices.notices(result),
+            ending=ending.ending(result),
             findings=finder.found,
-            measured=[(server, place) for (server, _, _), place in measured.items()],
-            answers=answers.found,
         )
     except (KeyError, TypeError, ValueError) as error:  # msgspec's ValidationError is a ValueError
         raise UsageError(f"{log} is not an event log that this version reads: {error!r}") from error
