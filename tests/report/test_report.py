@@ -87,7 +87,7 @@ def test_the_totals_on_the_page_are_the_results(records: list[Record]) -> None:
     told = {row[0]: row[1:] for row in table}
     results = [record.result for record in records]
     assert told["mission time"] == [f"{result.mission_time_s:.1f} s" for result in results]
-    assert told["calls on the drone"] == [str(result.totals.local) for result in results] == ["18", "121"]
+    assert told["calls by place"] == ["18 on the drone, 51 on s1, 52 on s2", "121 on the drone"]
     assert told["time spent in calls"] == [f"{result.totals.service_delay_s:.1f} s" for result in results]
     assert told["with every call on the drone"] == [
         f"{result.local_only_time_s():.1f} s" for result in results

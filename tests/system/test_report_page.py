@@ -132,7 +132,9 @@ def test_what_is_folded_is_not_printed_and_no_figure_is_cut_from_its_heading(
     page.open(many, width=1400, scheme="dark")
     page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
     try:
-        shown = page.each("summary, #controls, .map-frame, .gallery svg, .together table", "each.checkVisibility()")
+        shown = page.each(
+            "summary, #controls, .map-frame, .gallery svg, .together table", "each.checkVisibility()"
+        )
         names = page.each("summary, #controls, .map-frame, .gallery svg, .together table", "each.tagName")
         seen = {name for name, is_shown in zip(names, shown, strict=True) if is_shown}
         assert seen == {"DIV", "svg", "TABLE"}, "the map, the pictures of findings, and a row a flight"

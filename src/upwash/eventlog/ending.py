@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from upwash.eventlog.narration import at_places, spans
 from upwash.eventlog.notices import TEXTS, Level, Notice, Notices
 from upwash.eventlog.progress import clock
-from upwash.eventlog.results import RunResult
+from upwash.eventlog.results import RunResult, Totals
 from upwash.eventlog.schema import Event
 from upwash.support.text import counted, printable
 
@@ -156,6 +156,20 @@ def reached(result: RunResult) -> str:
     return (
         f"{result.waypoints - len(result.undone)} of {counted(result.waypoints, 'waypoint')} reached{undone}"
     )
+
+
+def by_place(totals: Totals) -> str:
+    """Where the calls ran: "18 on the drone, 51 on s1"."""
+    return ", ".join(
+        [f"{totals.local} on the drone", *(f"{count} on {name}" for name, count in totals.remote.items())]
+    )
+
+
+def went_on(totals: Totals) -> str:
+    """What a drone did that did not wait for answers; empty if it waited for all."""
+    if not totals.went_on:
+        return ""
+    return f"flew on before {counted(totals.went_on, 'answer')}, and turned back for {totals.turns_back or 'none'}"
 
 
 def never_ready(result: RunResult) -> Iterator[str]:

@@ -13,7 +13,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from upwash.eventlog import schema
-from upwash.eventlog.ending import left_undone, never_ready, reached
+from upwash.eventlog.ending import by_place, left_undone, never_ready, reached, went_on
 from upwash.eventlog.narration import Narrator, Sentence, Tone
 from upwash.eventlog.notices import LEFT_HOVERING
 from upwash.eventlog.results import EnergyTotals, RunResult, Totals
@@ -150,7 +150,7 @@ def print_result(
         say(deadlines_line(totals), console)
     if totals.lighter:
         say(_lighter_line(result), console)
-    if going := _going_line(totals):
+    if going := went_on(totals):
         say(going, console)
     if result.energy is not None:
         say(_energy_line(result.energy), console)
@@ -174,8 +174,7 @@ def print_result(
 
 
 def _calls_line(totals: Totals, *, servers: bool) -> str:
-    remote = "".join(f", {count} on {server}" for server, count in totals.remote.items())
-    parts = [f"{counted(totals.calls, 'call')}: {totals.local} on the drone{remote}"]
+    parts = [f"{counted(totals.calls, 'call')}: {by_place(totals)}"]
     if totals.switches:
         parts += [
             f"{counted(totals.switches, 'selection')} of a server",
@@ -214,13 +213,6 @@ def _lighter_line(result: RunResult) -> str:
     keys = Counter(call.key for call in result.calls if call.key)
     counts = ", ".join(f"{count} {key}" for key, count in sorted(keys.items()))
     return f"{counted(result.totals.lighter, 'call')} lighter than asked for, to be over in time: {counts}"
-
-
-def _going_line(totals: Totals) -> str:
-    back = totals.turns_back or "none"
-    if not totals.went_on:
-        return ""
-    return f"flew on before {counted(totals.went_on, 'answer')}, and turned back for {back}"
 
 
 def _energy_line(energy: EnergyTotals) -> str:

@@ -33,18 +33,20 @@ def draw_endings(records: Sequence[Record]) -> Markup:
     )
 
 
-def _named(record: Record, sentences: Sequence[str]) -> str:
-    """The sentences of a flight, in one."""
-    more = f" And {len(sentences) - _MOST} more." if len(sentences) > _MOST else ""
-    return f"{record.name}: {' '.join(sentences[:_MOST])}{more}"
+def _named(record: Record, sentences: Sequence[str]) -> Markup:
+    return joined(f"{record.name}: ", _listed(sentences))
 
 
 def _block(heading: str, items: Sequence[str], style: str) -> Markup:
     """A block of these items; nothing without any."""
     if not items:
         return Markup()
+    head = element("p", element("strong", f"{heading}."))
+    return element("div", head, _listed(items), class_=f"notice {style}")
+
+
+def _listed(items: Sequence[str]) -> Markup:
     listed = [element("li", item) for item in items[:_MOST]]
     if (more := len(items) - _MOST) > 0:
         listed.append(element("li", f"And {more} more: the event log tells all."))
-    head = element("p", element("strong", f"{heading}."))
-    return element("div", head, element("ul", *listed), class_=f"notice {style}")
+    return element("ul", *listed)

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from upwash.eventlog import schema
+from upwash.eventlog.ending import went_on
 from upwash.eventlog.progress import clock
 from upwash.eventlog.results import RunResult, Tally, Totals
 from upwash.eventlog.schema import Event
-from upwash.support.text import counted
 
 _MINUTE_S = 60.0
 UNPLANNED = schema.Planned()  # by its identity: what the drone set out to do is not in the log
@@ -87,11 +87,8 @@ def _all(calls: int) -> str:
 def _going(totals: Totals) -> str:
     if not totals.went_on:
         return ""
-    back = totals.turns_back or "none"
-    return (
-        f" The drone flew on before {counted(totals.went_on, 'answer')} and turned back for {back}; it waited for "
-        f"answers for {lasting(totals.service_delay_s - totals.hidden_s)}."
-    )
+    waited_s = totals.service_delay_s - totals.hidden_s
+    return f" The drone {went_on(totals)}; it waited for answers for {lasting(waited_s)}."
 
 
 def _saving(run: Outcome) -> str:

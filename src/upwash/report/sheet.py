@@ -18,10 +18,7 @@ from upwash.report.record import Record, WorstCall, reviewed_of
 
 _SIDE_BY_SIDE = 3  # flights; more are summed up
 _PICTURES = 60
-_REST = (
-    "`upwash report LOG` writes each call with --csv FILE, each place with --geojson FILE, and all results with "
-    "--json."
-)
+_REST = "upwash report writes each call with --csv FILE, each place with --geojson FILE, and all results with --json."
 
 
 def draw_sheet(records: Sequence[Record], shelf: PhotoShelf) -> Markup:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
+from upwash.eventlog.ending import by_place
 from upwash.eventlog.results import RunResult, mean_local_delay_s
 from upwash.report.markup import Markup, element
 from upwash.report.record import Record
@@ -19,13 +20,13 @@ def table(caption: str, heads: Sequence[str], rows: Sequence[Sequence[str]], *, 
         left_out = f"{len(rows) - 2 * _AT_EITHER_END} rows are left out: {rest}"
         gap = element("tr", element("td", left_out, colspan=str(len(heads))))
         body[_AT_EITHER_END:-_AT_EITHER_END] = [gap]
-    whole = element(
-        "table",
-        element("caption", caption),
-        element("thead", element("tr", *map(_head, heads))),
-        element("tbody", *body) if body else "",
-    )
-    return scrolled(whole, caption)
+    return framed(caption, list(map(_head, heads)), body)
+
+
+def framed(caption: str, heads: Sequence[Markup], rows: Sequence[Markup]) -> Markup:
+    """A table of these cells at its head and these rows, which scrolls by itself."""
+    head, body = element("thead", element("tr", *heads)), element("tbody", *rows) if rows else Markup()
+    return scrolled(element("table", element("caption", caption), head, body), caption)
 
 
 def _row(cells: Sequence[str]) -> Markup:
@@ -88,10 +89,6 @@ def _reached(result: RunResult) -> str:
     return f"{result.waypoints - len(result.undone)} of {result.waypoints}"
 
 
-def _remote(result: RunResult) -> str:
-    return ", ".join(f"{count} on {name}" for name, count in result.totals.remote.items()) or "0"
-
-
 def _waits(result: RunResult) -> str:
     return f"{result.totals.waits}, {result.totals.waits_failed}"
 
@@ -120,8 +117,7 @@ _ALWAYS: Mapping[str, Callable[[RunResult], str]] = {
     "mission time": _time,
     "waypoints reached": _reached,
     "calls": lambda result: str(result.totals.calls),
-    "calls on the drone": lambda result: str(result.totals.local),
-    "calls on servers": _remote,
+    "calls by place": lambda result: by_place(result.totals),
     "calls that fell back to the drone": lambda result: str(result.totals.fallbacks),
     "waits, wasted": _waits,
     "selections of a server": lambda result: str(result.totals.switches),
@@ -145,13 +141,13 @@ def flights(records: Sequence[Record]) -> Markup:
     """A row a flight."""
 
     def row(record: Record) -> list[str]:
-        result, remote = record.result, _remote(record.result)
+        result = record.result
         ended = "completed" if result.completed else f"not completed, {_reached(result)} reached"
         return [
             record.name,
             result.policy,
             f"{result.mission_time_s:.1f} s",
-            f"{result.totals.local} on the drone{f', {remote}' if result.totals.remote else ''}",
+            by_place(result.totals),
             _waits(result),
             str(result.totals.fallbacks),
             _saved(result),

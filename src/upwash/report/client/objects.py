@@ -11,7 +11,7 @@ from upwash.report.client.words import Word, Words
 from upwash.report.gallery import outlined
 from upwash.report.markup import Markup, element, joined
 from upwash.report.numbering import PlacedFinding
-from upwash.report.tables import scrolled
+from upwash.report.tables import framed
 from upwash.support.text import counted, printable
 
 _LONGEST_LABEL = 80  # characters
@@ -133,13 +133,7 @@ def _row(each: Inspected, words: Words, *, ground: bool, linked: bool) -> Markup
 
 def _whole(caption: str, heads: Sequence[str], rows: Sequence[Markup]) -> Markup:
     head = [element("th", name, scope="col", class_=_STYLES.get(name, "figures")) for name in heads]
-    table = element(
-        "table",
-        element("caption", caption),
-        element("thead", element("tr", *head)),
-        element("tbody", *rows),
-    )
-    return scrolled(table, caption)
+    return framed(caption, head, rows)
 
 
 # --- each object --------------------------------------------------------------------------------------------
