@@ -110,7 +110,7 @@ def test_it_says_where_every_row_is(records: list[Record]) -> None:
 
 def test_what_offloading_saved_is_told_also_against_the_flight_without(records: list[Record]) -> None:
     page = sheet_of(records)
-    saved_s = records[0].saved_s
+    saved_s = records[0].result.saved_s()
     assert saved_s is not None
     assert f"offloading saved {clock(saved_s)}, " in page
     less_s = records[1].result.mission_time_s - records[0].result.mission_time_s

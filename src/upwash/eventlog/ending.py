@@ -14,8 +14,10 @@ from upwash.eventlog.schema import Event
 from upwash.support.text import counted, printable
 
 _LONGEST_LIST = 200  # characters
-_MOST_KINDS = 200  # of notices about the same that are told apart, however long the log is
-_ACTS = frozenset({"safe end", "disobeys", "left", "control", "stopping", "ended"})  # each is told, in red
+_MOST_KINDS = 200  # of notices about one thing, however long the log is
+_ACTS = frozenset(
+    {"safe end", "disobeys", "left", "control", "stopping", "ended"}
+)  # each has a sentence of its own, in red
 _PASSES = frozenset({"link", "position"})  # no alarm any more once it is over
 _MOMENTS = frozenset({"ended", *TEXTS})  # which hold in a flight longer than they last
 _NO_END = "The log ends before the mission does: the program was stopped at once, or is still running"
@@ -35,7 +37,10 @@ class Ending:
 
 @dataclass(slots=True)
 class _Held:
-    """A notice that held, as it was given last; `to_s` is when it was over, None while it holds."""
+    """A notice, with its last words; `to_s` is the end of its last time, None while it holds.
+
+    The last time began at `given_s`; of a text of the vehicle `given_s` is when the vehicle last sent it.
+    """
 
     notice: Notice
     since_s: float
@@ -72,7 +77,7 @@ class _Held:
 
 
 class EndingSoFar:
-    """Gathers notices event by event; what happened often is told once, with its number."""
+    """Gathers notices event by event; a notice that comes again has one sentence, with the number of its times."""
 
     def __init__(self, began_s: float) -> None:
         self._began_s = began_s
@@ -106,11 +111,11 @@ class EndingSoFar:
             self._now[notice.key] = held
         elif notice.about in TEXTS:
             held.given_s = now_s
-        action = notice.action or held.notice.action  # what a person had to do before somebody did it
+        action = notice.action or held.notice.action  # a pilot who has the vehicle needs none, and did it
         held.notice = replace(notice, action=action)
 
     def ending(self, result: RunResult) -> Ending:
-        """All that was told; the result says what the mission came to at its end."""
+        """All sentences; the result has what the mission left undone."""
         never = {f"server {name}" for name in result.never_ready}
         told = sorted(
             (held for held in self._told.values() if held.notice.key not in never),

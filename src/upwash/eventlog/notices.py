@@ -326,7 +326,10 @@ LEFT_HOVERING = _BEGUN[schema.LeftHovering].words
 
 
 def notice_of(event: Event) -> Notice | None:
-    """The notice that an event begins, or ends without a cause, whatever was before; a cause is within a sentence."""
+    """The notice that an event begins, or without a cause ends; the cause begins as within a sentence.
+
+    Notices that depend on earlier events are those of `Notices` alone.
+    """
     if (notice := _BEGUN.get(type(event))) is not None:
         return replace(notice, of=notice.of.format(event=event), cause=notice.cause.format(event=event))
     return _of_flight(event) or _of_vehicle(event) or _of_computer(event)

@@ -24,7 +24,7 @@ def draw_ending(record: Record) -> Markup:
 
 
 def draw_endings(records: Sequence[Record]) -> Markup:
-    """The same of many flights: the sentences of each that did not end well, or in which something went wrong."""
+    """The same of many flights, under their names; nothing of a flight that has no such sentences."""
     urgent = [_named(record, record.ending.urgent) for record in records if record.ending.urgent]
     cautions = [_named(record, record.ending.cautions) for record in records if record.ending.cautions]
     return joined(

@@ -59,7 +59,9 @@ def _exported(record: Record) -> Exported:
     if record.reviews.by_finding:
         tally = reviewed_of([record]).tally
         findings = ExportedFindings(tally.found, tally.reviewed, tally.rejected)
-    return Exported(record.name, record.result, record.result.local_only_time_s(), record.saved_s, findings)
+    return Exported(
+        record.name, record.result, record.result.local_only_time_s(), record.result.saved_s(), findings
+    )
 
 
 def cell(value: object) -> object:

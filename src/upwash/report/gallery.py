@@ -75,7 +75,7 @@ def _picture(found: PlacedFinding, drawn: Markup, *, whose: bool) -> Markup:
         element("br"),
         f"{flight}{where}at {clock(found.mission_s)}",
         element("br"),
-        _coordinates(found),
+        coordinates(found),
         *((element("br"), element("bdi", found.note)) if found.note else ()),
     )
     return element("li", element("figure", drawn, caption))
@@ -91,7 +91,7 @@ def _table(found: Sequence[PlacedFinding], *, whose: bool) -> Markup:
             *([each.flight.log] if whose else []),
             clock(each.mission_s),
             "start" if each.finding.waypoint is None else str(each.finding.waypoint),
-            _coordinates(each),
+            coordinates(each),
             element("bdi", each.finding.words),  # may be written from right to left
             *([_reviewed(each)] if are_reviewed else []),
         ]
@@ -107,12 +107,11 @@ def _reviewed(found: PlacedFinding) -> Markup:
     return joined(verdict, ": " if verdict and found.note else "", element("bdi", found.note))
 
 
-def _coordinates(found: PlacedFinding) -> str:
+def coordinates(found: PlacedFinding, home: str = "home") -> str:
     """The place in degrees where it is known where home is, else in metres from there."""
-    if found.earth is None or found.flight.home is None:
-        place = found.finding.place
-        return f"{place.east_m:.1f} m east, {place.north_m:.1f} m north of home"
-    return "{:.6f}°, {:.6f}°".format(*found.earth)
+    if found.earth is not None:
+        return "{:.6f}°, {:.6f}°".format(*found.earth)
+    return f"{found.finding.place.east_m:.1f} m east, {found.finding.place.north_m:.1f} m north of {home}"
 
 
 def outlined(box: Outline, crop: Crop, name: str, *, again: bool = False) -> Markup:

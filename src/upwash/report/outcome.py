@@ -24,11 +24,6 @@ class Outcome:
     result: RunResult
     world: tuple[str, int] | None = None
 
-    @property
-    def saved_s(self) -> float | None:
-        """What offloading saved against the local delays measured; None where they are not known."""
-        return self.result.saved_s()
-
 
 class OutcomeSoFar:
     """Gathers the events of one run until its mission was completed, and keeps none of them."""
@@ -94,7 +89,7 @@ def _going(totals: Totals) -> str:
 def _saving(run: Outcome) -> str:
     if run.result.totals.went_on and run.result.completed:
         return "What offloading saved is not known: the drone went on before answers were there."
-    local_only_s, saved_s = run.result.local_only_time_s(), run.saved_s
+    local_only_s, saved_s = run.result.local_only_time_s(), run.result.saved_s()
     if local_only_s is None or saved_s is None:
         return "What offloading saved is not known: that takes a completed mission with calls on the drone."
     return (

@@ -151,11 +151,6 @@ class Record:
         return sorted(known, key=by_name)
 
     @property
-    def saved_s(self) -> float | None:
-        """What offloading saved against the local delays measured; None where they are not known."""
-        return self.outcome.saved_s
-
-    @property
     def found(self) -> FlightFindings:
         """What was found on the flight, with what people decided about it."""
         return FlightFindings(

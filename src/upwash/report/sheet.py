@@ -1,4 +1,4 @@
-"""What a page says on paper and without scripts: how the flights ended, what they came to, and what was found."""
+"""What a page says on paper and without scripts: how the flights ended, their results, and what they found."""
 
 from __future__ import annotations
 

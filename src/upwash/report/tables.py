@@ -1,4 +1,4 @@
-"""The tables of a report: what flights came to."""
+"""The tables of a report: the results of flights."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def scrolled(content: Markup, name: str) -> Markup:
 
 
 def totals(records: Sequence[Record]) -> Markup:
-    """What each flight came to, a column each."""
+    """The results of the flights, a column each."""
     results = [record.result for record in records]
     rows = {name: list(map(value, results)) for name, value in _ALWAYS.items()}
     for kind in _WHERE_SOME:
