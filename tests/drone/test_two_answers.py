@@ -18,7 +18,7 @@ from upwash.eventlog import schema
 from upwash.lab.bounds import bound_of
 from upwash.lab.run import Run, simulate
 from upwash.preflight.check import check, read_plan
-from upwash.report.notices import NoticesTaken
+from upwash.report.record import record_of
 from upwash.services import Detector
 
 # The drone answers in 1 s (light) or 10 s (heavy), the server in 4 s (heavy). A leg of 20 m takes 9 s.
@@ -246,7 +246,5 @@ def test_a_deadline_that_no_server_keeps_is_told_before_take_off_and_in_the_repo
     found = check(read_plan(file), seeds=1, fly=here)
     assert [warning.kind for warning in found.warnings] == ["no-better-answer"]
     run = simulate(read_plan(file).config)
-    notices = NoticesTaken()
-    for event in run.events:
-        notices.take(event, event.t)
-    assert "within 3 s, the fastest takes 4 s" in " ".join(notices.notices(run.result).cautions)
+    ending = record_of(run.events, file).ending
+    assert "within 3 s, the fastest takes 4 s" in " ".join(ending.cautions)

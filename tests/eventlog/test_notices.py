@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from tests.events import event
 
+from upwash.eventlog.narration import Narrator, Tone
 from upwash.eventlog.notices import Level, Notice, Notices
 from upwash.eventlog.schema import Event
 
@@ -193,3 +194,31 @@ def test_findings_that_do_not_arrive_are_a_caution_until_they_do() -> None:
     (notice,) = held(trouble, failed).values()
     assert notice.cause == "Not handed over to the webhook at h: 1 finding, 1 left at the end: no network"
     assert "upwash report LOG --findings" in notice.action
+
+
+def test_a_service_of_the_drone_that_ended_is_a_caution_until_it_is_ready_again() -> None:
+    ended, ready = event("local_ended", service="d", how="SIGKILL"), event("local_ready", service="d")
+    assert held(ended)["local d"].cause == "The service d on the drone ended (SIGKILL), and is started again"
+    assert held(ended, ready) == {}
+    assert held(ended, ready, ended)["local d"].times == 2
+
+
+def test_lost_events_are_counted() -> None:
+    now = held(event("events_lost", count=3), event("events_lost", count=5))
+    assert now["events"].cause == "8 events of the log could not be kept"
+
+
+def test_a_server_is_named_once_though_its_reason_begins_with_its_name() -> None:
+    now = held(event("call_failed_in_range", server="s1", after="BLACKLISTED", why="s1: no answer"))
+    assert now["server s1"].cause == "s1 is not used: no answer"
+
+
+def test_the_terminal_says_what_a_notice_says_and_asks_no_pilot_to_take_over() -> None:
+    lost = event("link_lost", 3.0, silent_s=3.0)
+    narrator = Narrator()
+    said = narrator.tell(lost)
+    assert said is not None and said.tone is Tone.ALARM
+    assert said.text == "the vehicle is not heard any more. Be ready to take over"
+    narrator.tell(event("control", 4.0, owner="pilot", why="LOITER"))
+    again = narrator.tell(lost)
+    assert again is not None and again.text == "the vehicle is not heard any more"

@@ -6,7 +6,7 @@ import pytest
 from tests.events import event as made
 from tests.scenarios import fault, scenario, server
 
-from upwash.eventlog.narration import left_undone
+from upwash.eventlog.ending import left_undone
 from upwash.eventlog.results import CallResult, as_json, read_result
 from upwash.eventlog.schema import Event
 from upwash.lab.run import simulate

@@ -263,7 +263,7 @@ def test_the_log_says_in_words_what_went_wrong(flown: Path) -> None:
         (2, "mission started, policy location-aware"),
         (2, "s1: AVL → CHECK (in range)"),
         (3, "s1: CHECK → BLACKLISTED (off)"),
-        (4, "landing where it is: the radio is silent"),
+        (4, "the flight cannot go on, landing where it is: the radio is silent. Be ready to take over"),
     ]
 
 

@@ -128,4 +128,4 @@ def test_a_mission_that_leaks_files_flies_on_without_servers(tmp_path: Path) -> 
     assert (scarce["supply"], scarce["scarce"], ample["scarce"]) == ("files", True, False)
     refused = [event for event in read(log) if "left to open" in event.get("why", "")]
     assert refused and all(scarce["t"] <= event["t"] <= ample["t"] for event in refused)
-    assert "this computer has 0 files left to open: no server is dialled" in done.stdout
+    assert "the drone's computer has 0 files left to open: no server is dialled" in done.stdout

@@ -182,13 +182,11 @@ def test_no_log_ends_in_a_traceback_or_becomes_markup(tmp_path: Path, seed: int)
     assert (kinds[0], kinds[-1]) == ("page", "end")
 
 
-def test_a_file_of_thousands_of_servers_has_the_first_and_the_last(tmp_path: Path) -> None:
+def test_a_file_of_thousands_of_servers_stays_small(tmp_path: Path) -> None:
     ranges = {f"s{number}": {"centre": HERE, "radius_m": 5} for number in range(5_000)}
     planned = (0.0, "planned", {"waypoints_m": [], "ranges": ranges})
     log = log_of(tmp_path / "f.jsonl", planned, (1.0, "mission_started", {"policy": "p"}))
-    document = whole(log)
-    assert document.count("4800 rows are left out: the event log has all of them") == 2
-    assert len(document) < 1.5e6
+    assert len(whole(log)) < 1.5e6
 
 
 def test_without_scripts_a_file_says_what_the_flight_came_to(logs: tuple[Path, Path]) -> None:

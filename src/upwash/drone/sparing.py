@@ -12,7 +12,7 @@ from typing import NoReturn
 from upwash.core.knowledge.supplies import FOR_LINKS, Scarcity, Supplies, Supply
 from upwash.errors import Unreachable
 from upwash.eventlog import schema
-from upwash.eventlog.narration import left_of
+from upwash.eventlog.notices import left_of
 from upwash.ports import Album, Computer, Dialer, Journal, KeptPhoto, Link
 from upwash.support.background import never
 

@@ -4,51 +4,25 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
 from upwash.core.knowledge.servers import State
-from upwash.core.knowledge.supplies import Supply
 from upwash.core.vehicle.control import Owner
 from upwash.core.vehicle.way_home import in_words
 from upwash.eventlog import schema
+from upwash.eventlog.notices import SAFE_ENDS, WARNING, Level, left_of, notice_of, who_has_it
 from upwash.eventlog.objects import found_objects
 from upwash.eventlog.progress import CallPlaces, MissionTime
-from upwash.eventlog.results import RunResult
 from upwash.eventlog.schema import SEVERITIES, Event
-from upwash.support.text import clocks_apart, counted, printable
+from upwash.support.text import counted, printable
 
-SAFE_ENDS = {
-    "return": "returning to land",
-    "land": "landing where it is",
-    "hold": "stopping to hover",
-    "disarm": "disarming on the ground",
-}
-WARNING = 4
-_NO_LINKS = "no server is dialled until it has more"
-_SPARED: Mapping[Supply, str] = {
-    "files": _NO_LINKS,
-    "threads": _NO_LINKS,
-    "memory": _NO_LINKS,
-    "disk": "photos are not kept, and positions are logged less often, until it has more",
-}
 _SHORTEST_S = 0.05  # the shortest time in line that a sentence has
 # Most events of a long log are of these kinds: a set lookup is faster than a match statement.
 _WITHOUT_SENTENCE = frozenset(
     {schema.PhotoTaken, schema.AutopilotPhoto, schema.Decided, schema.CallStarted, schema.FirstAnswer}
 )
-_OWNERS = {
-    Owner.NOBODY: "nobody",
-    Owner.PROGRAM: "the program",
-    Owner.PILOT: "the pilot",
-    Owner.GROUND_STATION: "a ground station or another program",
-    Owner.FAILSAFE: "a fail-safe",
-    Owner.EARLIER_RUN: "an earlier run of the program",
-    Owner.UNKNOWN: "nobody known",
-}
-LEFT_HOVERING = "The vehicle hovers where it is, and nobody flies it now: take over with the remote control."
-WAS_LEFT_HOVERING = "The vehicle hovered where it was, and nobody flew it: a pilot had to take over."
 
 
 def spans(indices: Sequence[int]) -> str:
@@ -151,9 +125,17 @@ class Narrator:
             )
             return Sentence(f"mission {before}" + (f", policy {event.policy}" if self._knows_servers else ""))
         if (line := _LINE_OF.get(type(event))) is None:
-            return _sentence(event)
+            return _sentence(event) or self._of_notice(event)
         words, tone = line
         return Sentence(words.format(event=event, now=self), tone)
+
+    def _of_notice(self, event: Event) -> Sentence | None:
+        """What a person has to act on or should know; who has the vehicle already is not asked to take over."""
+        notice = notice_of(event)
+        if notice is None or not notice.cause:
+            return None
+        words = notice.cause if self.control else notice.words
+        return Sentence(words, Tone.ALARM if notice.level is Level.ALARM else Tone.TROUBLE)
 
     def _follow(self, event: Event) -> None:
         """Take in what the drone does from the event on."""
@@ -236,45 +218,19 @@ _LINES: Mapping[Tone, Mapping[type[Event], str]] = {
     },
     Tone.TROUBLE: {
         schema.ArmingDelayed: "{now.doing}: {now.waits_for}",
-        schema.UnsignedPort: "{event.why}",
-        schema.SiteDoubt: "{event.why}",
-        schema.NoBetterAnswer: "{event.why}",
         schema.Preferred: "calls go to {event.server} now: {event.why}",
         schema.Seconded: "{event.server} has not answered after {event.after_s:.2f} s; asking {event.second} too",
-        schema.LinkTrouble: "{event.why}",
         schema.WaitingForVehicle: "{now.doing} for {event.waited_s:.0f} of {event.within_s:g} s: {event.why}",
-        schema.LinkLost: "the vehicle is not heard any more, for {event.silent_s:.1f} s",
         schema.RemoteRaised: "{event.server} says that {event.operation} raised {event.raised}; making the "
         "call on the drone",
-        schema.LocalEnded: "{event.service} on the drone ended ({event.how}); starting it again",
-        schema.LocalFailed: "local failed: {event.why}",
-        schema.SentWhole: "{event.operation} was not made smaller before sending: {event.why}{event.then}",
         schema.RemoteFailed: "remote failed: {event.why}",
         schema.RemoteQueued: "not begun: {event.why}",
-        schema.LeaveFailed: "leave failed: {event.why}",
-        schema.SafeEndFailed: "safe end failed: {event.why}",
-        schema.DeadManFailed: "dead man failed: {event.why}",
-        schema.BatteryWatchFailed: "battery watch failed: {event.why}",
-        schema.BorderWatchFailed: "border watch failed: {event.why}",
-        schema.CoverageNotKept: "coverage not kept: {event.why}",
-        schema.DemandsNotKept: "map of demands not kept: {event.why}",
-        schema.PhotoPlaceDoubted: "photo {event.source}: {event.why}",
-        schema.PhotosNotKept: "photos not kept: {event.why}",
-        schema.OffloadingFailed: "offloading failed: {event.why}",
         schema.WaitingForTheTime: "waiting for the vehicle's GPS to tell the time: {event.why}",
-        schema.ClockDiffers: "this computer's clock says {event.clock}, the vehicle's GPS {event.gps}: "
-        "left as it is, {event.why}",
     },
     Tone.ALARM: {
-        schema.SafeEnd: "{now.doing}: {event.why}",
-        schema.LeftHovering: LEFT_HOVERING,
-        schema.ReturnHovers: "{event.why}; landing there",
-        schema.NoNearer: "the return comes no nearer: {event.away_m:.0f} m from {event.to} for {event.for_s:.0f} s",
-        schema.ReserveOnTheWayDown: "the reserve is used up on the way down: {event.why}",
         schema.Stopping: "stopping: {event.why} (Ctrl-C from now on ends the program at once, and leaves "
         "the vehicle to itself)",
-        schema.LeftToPilot: "nothing more is sent to the vehicle: {event.why}",
-        schema.FollowingEnded: "following ended: {event.why}",
+        schema.LeftToPilot: "nothing is sent to the vehicle any more: {event.why}",
     },
 }
 _LINE_OF = {kind: (words, tone) for tone, lines in _LINES.items() for kind, words in lines.items()}
@@ -319,32 +275,10 @@ def _sentence(event: Event) -> Sentence | None:
             return _foreseen(event)
         case schema.MissionEnded(why=why):
             return Sentence(f"mission ended: {why.removeprefix('mission: ')}", Tone.ALARM)
-        case schema.Shortened(of=of, why=why):
-            said = f"the log has no more than a part of what it was told ({of.replace('_', ' ')}): {why}"
-            return Sentence(said, Tone.TROUBLE)
-        case schema.CameraClockDiffers() | schema.ClockSet():
-            return _clock_sentence(event)
-    return _waiting_sentence(event) or _computer_sentence(event) or _vehicle_sentence(event)
-
-
-def _clock_sentence(event: schema.CameraClockDiffers | schema.ClockSet) -> Sentence:
-    match event:
-        case schema.CameraClockDiffers(camera=camera, clock=own):
-            said = clocks_apart("the camera's clock", camera, own)
-            return Sentence(f"{said}; its photos count as taken when they come: set its clock", Tone.TROUBLE)
         case schema.ClockSet(before=before, after=after):
             said = f"this computer's clock said {before.isoformat()}: set to {after.isoformat()}"
             return Sentence(f"{said}, as the vehicle's GPS has it")
-
-
-def left_of(supply: Supply, left: float) -> str:
-    """What is left of a supply, in words."""
-    match supply:
-        case "files":
-            return f"{counted(int(left), 'file')} left to open"
-        case "threads":
-            return f"{counted(int(left), 'thread')} left to start"
-    return f"{left / 1e6:.0f} MB of {supply} left"
+    return _waiting_sentence(event) or _computer_sentence(event) or _vehicle_sentence(event)
 
 
 def _waiting_sentence(event: Event) -> Sentence | None:
@@ -359,17 +293,10 @@ def _waiting_sentence(event: Event) -> Sentence | None:
 
 def _computer_sentence(event: Event) -> Sentence | None:
     match event:
-        case schema.SupplyChanged(supply=supply, left=left, scarce=scarce):
-            said = f"this computer has {left_of(supply, left)}"
-            return (
-                Sentence(f"{said}: {_SPARED[supply]}", Tone.TROUBLE) if scarce else Sentence(f"{said} again")
-            )
+        case schema.SupplyChanged(supply=supply, left=left, scarce=False):
+            return Sentence(f"the drone's computer has {left_of(supply, left)} again")
         case schema.HandoverTrouble(to=to, why=""):
             return Sentence(f"{to} takes findings again")
-        case schema.HandoverTrouble(to=to, why=why):
-            return Sentence(f"{to} does not take findings: {why}", Tone.TROUBLE)
-        case schema.HandoverFailed(to=to, count=count, why=why):
-            return Sentence(f"not handed over to {to}: {counted(count, 'finding')}, {why}", Tone.TROUBLE)
     return None
 
 
@@ -390,15 +317,8 @@ def _vehicle_sentence(event: Event) -> Sentence | None:
         case schema.VehicleSaid(severity=severity, text=text) if severity <= WARNING:
             if not text.startswith(("PreArm: ", "Arm: ")):
                 return Sentence(f"the vehicle says: {text} ({SEVERITIES[severity]})", Tone.TROUBLE)
-        case schema.VehicleSetting(name=name, value=value, advice=advice):
-            return Sentence(f"the vehicle's {name} is {known(value)}: {advice}", Tone.TROUBLE)
-        case schema.PositionDoubted():
-            return _of_position(event)
-        case schema.HomeMoved(east_m=east_m, north_m=north_m, altitude_m=altitude_m):
-            up = f"{abs(altitude_m):.0f} m {'higher' if altitude_m >= 0 else 'lower'}"
-            there = f"{east_m:.0f} m east, {north_m:.0f} m north, {up}"
-            said = f"the vehicle's home was moved to {there}: the vehicle returns there"
-            return Sentence(said, Tone.TROUBLE)
+        case schema.PositionDoubted(unsure=False, jumped_m=jumped_m) if not jumped_m:
+            return Sentence("the vehicle's position can be true again")
         case schema.DeadManSet(silence_s=silence_s, action=action):
             doing = "returns" if action == "return" else "lands"
             said = f"the autopilot {doing} if it does not hear this program for {silence_s:g} s"
@@ -412,15 +332,6 @@ def _vehicle_sentence(event: Event) -> Sentence | None:
     return None
 
 
-def _of_position(doubted: schema.PositionDoubted) -> Sentence:
-    if doubted.unsure:
-        return Sentence("the vehicle is not sure of its position: no arrival counts", Tone.TROUBLE)
-    if not doubted.jumped_m:
-        return Sentence("the vehicle's position can be true again")
-    jump = f"jumped {doubted.jumped_m:.0f} m, farther than it can fly: no arrival counts"
-    return Sentence(f"the vehicle's reported position {jump}", Tone.TROUBLE)
-
-
 def landed(at: str, from_home_m: float | None) -> str:
     """A landing as text, with its place as far as known."""
     where = f"landed at {at}" if at else "landed"
@@ -428,16 +339,6 @@ def landed(at: str, from_home_m: float | None) -> str:
     if not away or at == "home":
         return where
     return f"{where}, {away}" if at else f"{where} {away}"
-
-
-def known(value: float | None) -> str:
-    """A value as text, or "not known"."""
-    return "not known" if value is None else f"{value:g}"
-
-
-def who_has_it(owner: str) -> str:
-    """The owner of the vehicle as text."""
-    return _OWNERS[Owner(owner)]
 
 
 def _foreseen(event: schema.Foreseen) -> Sentence:
@@ -473,23 +374,6 @@ def _field(name: str, value: object) -> str:
     if not isinstance(value, int):
         return f"{noun} {value}"
     return counted(value, noun[:-1]) if noun.endswith("s") and not noun.endswith("ss") else f"{value} {noun}"
-
-
-def left_undone(result: RunResult) -> Iterator[str]:
-    """What a mission left undone at waypoints: demands, failed calls, and answers that it did not take."""
-    if result.not_acted_on:
-        one = len(result.not_acted_on) == 1
-        answers = "the answer at" if one else "the answers at"
-        yield f"not done: what {answers} {at_places(result.not_acted_on)} {'demands' if one else 'demand'}"
-    if result.failed_calls:
-        calls = "the call" if len(result.failed_calls) == 1 else "the calls"
-        yield f"{calls} at {at_places(result.failed_calls)} failed, and the mission did nothing about it"
-    if result.not_looked_at:
-        answers = "the answer" if len(result.not_looked_at) == 1 else "the answers"
-        yield f"not looked at: {answers} at {at_places(result.not_looked_at)}"
-    for why, places in result.unanswered.items():
-        calls = "the call" if len(places) == 1 else "the calls"
-        yield f"without an answer: {calls} at {at_places(places)}, as {why}"
 
 
 def at_places(waypoints: Sequence[int | None]) -> str:

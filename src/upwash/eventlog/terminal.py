@@ -13,7 +13,9 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from upwash.eventlog import schema
-from upwash.eventlog.narration import LEFT_HOVERING, Narrator, Sentence, Tone, left_undone, spans
+from upwash.eventlog.ending import by_place, left_undone, never_ready, reached, went_on
+from upwash.eventlog.narration import Narrator, Sentence, Tone
+from upwash.eventlog.notices import LEFT_HOVERING
 from upwash.eventlog.results import EnergyTotals, RunResult, Totals
 from upwash.eventlog.schema import Event
 from upwash.support.sentences import say
@@ -148,12 +150,12 @@ def print_result(
         say(deadlines_line(totals), console)
     if totals.lighter:
         say(_lighter_line(result), console)
-    if going := _going_line(totals):
+    if going := went_on(totals):
         say(going, console)
     if result.energy is not None:
         say(_energy_line(result.energy), console)
-    for server, why in result.never_ready.items():
-        say(Text(f"{server} never became ready: {printable(why)}", style="yellow"), console)
+    for phrase in never_ready(result):
+        say(Text(printable(phrase), style="yellow"), console)
     if result.offloading_failed:
         why = f"every call ran on the drone after a defect: {printable(result.offloading_failed)}"
         say(Text(why, style="yellow"), console)
@@ -172,8 +174,7 @@ def print_result(
 
 
 def _calls_line(totals: Totals, *, servers: bool) -> str:
-    remote = "".join(f", {count} on {server}" for server, count in totals.remote.items())
-    parts = [f"{counted(totals.calls, 'call')}: {totals.local} on the drone{remote}"]
+    parts = [f"{counted(totals.calls, 'call')}: {by_place(totals)}"]
     if totals.switches:
         parts += [
             f"{counted(totals.switches, 'selection')} of a server",
@@ -214,13 +215,6 @@ def _lighter_line(result: RunResult) -> str:
     return f"{counted(result.totals.lighter, 'call')} lighter than asked for, to be over in time: {counts}"
 
 
-def _going_line(totals: Totals) -> str:
-    back = totals.turns_back or "none"
-    if not totals.went_on:
-        return ""
-    return f"flew on before {counted(totals.went_on, 'answer')}, and turned back for {back}"
-
-
 def _energy_line(energy: EnergyTotals) -> str:
     of = "" if energy.battery_wh is None else f" of {energy.battery_wh:g} Wh"
     return (
@@ -230,10 +224,8 @@ def _energy_line(energy: EnergyTotals) -> str:
 
 
 def _print_waypoints(result: RunResult, console: Console) -> None:
-    undone = f", left undone: {spans(result.undone)}" if result.undone else ""
-    reached = result.waypoints - len(result.undone)
     if result.waypoints:
-        say(f"{reached} of {counted(result.waypoints, 'waypoint')} reached{undone}", console)
+        say(reached(result), console)
     for phrase in left_undone(result):
         say(Text(phrase, style="yellow"), console)
     if result.left_hovering:

@@ -1,56 +1,52 @@
-"""How flights ended, for whoever opens the page: what a person has to know before they read on."""
+"""How flights ended: what a person has to know before they read on."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from upwash.report.markup import Markup, element
+from upwash.eventlog.ending import reached
+from upwash.report.markup import Markup, element, joined
 from upwash.report.record import Record
 from upwash.support.text import counted
 
-_MOST = 12  # sentences of a block
+_MOST = 20  # sentences of a flight, or flights
+_ACT = "a person had to act, or has to know"
+
+
+def draw_ending(record: Record) -> Markup:
+    """A red block where a person had to act, an amber one for what went wrong, or that all went well."""
+    ending = record.ending
+    well = element("p", f"The mission was completed, {reached(record.result)}.")
+    return joined(
+        _block(f"A{_ACT[1:]}", ending.urgent, "urgent") if ending.urgent else well,
+        _block("What went wrong", ending.cautions, "caution"),
+    )
 
 
 def draw_endings(records: Sequence[Record]) -> Markup:
-    """A red block where a person had to act, an amber one for what went wrong, or that all went well; of each run."""
-    blocks = [block for record in records for block in _ending(record, named=len(records) > 1)]
-    heading = "How the flight ended" if len(records) == 1 else "How the flights ended"
-    return element("section", element("h2", heading), *blocks)
+    """The same of many flights, under their names; nothing of a flight that has no such sentences."""
+    urgent = [_named(record, record.ending.urgent) for record in records if record.ending.urgent]
+    cautions = [_named(record, record.ending.cautions) for record in records if record.ending.cautions]
+    return joined(
+        _block(f"In {counted(len(urgent), 'flight')} {_ACT}", urgent, "urgent"),
+        _block(f"In {counted(len(cautions), 'flight')} something went wrong on the way", cautions, "caution"),
+    )
 
 
-def _ending(record: Record, *, named: bool) -> list[Markup]:
-    of = f"{record.name}: " if named else ""
-    notices = record.notices
-    waypoints = record.result.waypoints
-    reached = "its waypoint reached" if waypoints == 1 else f"all {waypoints} waypoints reached"
-    blocks = []
-    if notices.urgent:
-        blocks.append(_block(f"{of}A person had to act, or has to know", notices.urgent, "urgent"))
-    else:
-        blocks.append(element("p", f"{of}The mission was completed, {reached}."))
-    if notices.cautions:
-        blocks.append(_block(f"{of}What went wrong", notices.cautions, "caution"))
-    return blocks
+def _named(record: Record, sentences: Sequence[str]) -> Markup:
+    return joined(f"{record.name}: ", _listed(sentences))
 
 
-def draw_urgent(records: Sequence[Record]) -> list[Markup]:
-    """One block for many runs, with the sentences of those that did not end well, and how many have others."""
-    urgent = [f"{record.name}: {sentence}" for record in records for sentence in record.notices.urgent]
-    warned = sum(bool(record.notices.cautions) for record in records)
-    ill = sum(bool(record.notices.urgent) for record in records)
-    blocks = []
-    if urgent:
-        heading = f"In {counted(ill, 'flight')} a person had to act, or has to know"
-        blocks.append(_block(heading, urgent, "urgent"))
-    if warned:
-        heading = f"In {counted(warned, 'flight')} something went wrong on the way: each tells it below"
-        blocks.append(_block(heading, (), "caution"))
-    return blocks
+def _block(heading: str, items: Sequence[str], style: str) -> Markup:
+    """A block of these items; nothing without any."""
+    if not items:
+        return Markup()
+    head = element("p", element("strong", f"{heading}."))
+    return element("div", head, _listed(items), class_=f"notice {style}")
 
 
-def _block(heading: str, sentences: Sequence[str], style: str) -> Markup:
-    items = [element("li", sentence) for sentence in sentences[:_MOST]]
-    if (more := len(sentences) - _MOST) > 0:
-        items.append(element("li", f"And {more} more, which the event log tells."))
-    told = [element("ul", *items)] if items else []
-    return element("div", element("p", element("strong", f"{heading}.")), *told, class_=f"notice {style}")
+def _listed(items: Sequence[str]) -> Markup:
+    listed = [element("li", item) for item in items[:_MOST]]
+    if (more := len(items) - _MOST) > 0:
+        listed.append(element("li", f"And {more} more: the event log tells all."))
+    return element("ul", *listed)

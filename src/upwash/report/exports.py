@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import msgspec
@@ -14,14 +14,14 @@ from upwash.core.geo import Circle, LocalFrame, Position
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.progress import CallPlaces
-from upwash.eventlog.results import RunResult, as_json
+from upwash.eventlog.results import CallResult, RunResult, as_json
 from upwash.report.antimeridian import cut_line, cut_ring
 from upwash.report.palette import LIGHT
 from upwash.report.record import Record, reviewed_of
 from upwash.support.text import escaped
 
-_SIDES = 64  # of the polygon that stands for a range
-_DIGITS = 7  # of a degree: about a centimetre
+SIDES = 64  # of the polygon that stands for a range
+DIGITS = 7  # of a degree: about a centimetre
 # Excel takes full-width signs too, and programs of most of Europe's languages split a line at each semicolon.
 _FORMULA = re.compile("(^|[;|])([\\s\"']*[=+\\-@\uff1d\uff0b\uff0d\uff20])")
 
@@ -59,7 +59,9 @@ def _exported(record: Record) -> Exported:
     if record.reviews.by_finding:
         tally = reviewed_of([record]).tally
         findings = ExportedFindings(tally.found, tally.reviewed, tally.rejected)
-    return Exported(record.name, record.result, record.result.local_only_time_s(), record.saved_s, findings)
+    return Exported(
+        record.name, record.result, record.result.local_only_time_s(), record.result.saved_s(), findings
+    )
 
 
 def cell(value: object) -> object:
@@ -69,23 +71,38 @@ def cell(value: object) -> object:
     return _FORMULA.sub(r"\1'\2", escaped(value))
 
 
+def as_rows(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
+    """CSV with a line for the columns' names and one for each row."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(map(cell, row) for row in rows)
+    return text.getvalue()
+
+
 def write_csv(records: Sequence[Record]) -> str:
     """A row a call; numbers in full precision."""
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    hidden = ["hidden_s"] if any(record.answers for record in records) else []
-    rows.writerow(
-        ["log", "waypoint", "at_s", "operation", "place", "delay_s", "waited_s", "wait", "fell_back",
-         "east_m", "north_m", "decision", *hidden]
-    )  # fmt: skip
-    for record in records:
-        for result, place in zip(record.calls, record.places, strict=True):
-            rows.writerow(
-                map(cell, [record.name, result.waypoint, result.at_s, result.operation, result.place, result.delay_s,
-                 result.waited_s, result.wait, int(result.fell_back), place.east_m if place else None,
-                 place.north_m if place else None, result.decision, *(getattr(result, each) for each in hidden)])
-            )  # fmt: skip
-    return text.getvalue()
+    hidden = ["hidden_s"] if any(record.result.totals.hidden_s for record in records) else []
+    columns = [
+        "log", "waypoint", "at_s", "operation", "place", "delay_s", "waited_s", "wait", "fell_back", "east_m",
+        "north_m", "decision", *hidden,
+    ]  # fmt: skip
+    rows = (
+        _call_row(record, call, place, hidden)
+        for record in records
+        for call, place in zip(record.calls, record.places, strict=True)
+    )
+    return as_rows(columns, rows)
+
+
+def _call_row(
+    record: Record, call: CallResult, place: Position | None, hidden: Sequence[str]
+) -> list[object]:
+    return [
+        record.name, call.waypoint, call.at_s, call.operation, call.place, call.delay_s, call.waited_s, call.wait,
+        int(call.fell_back), place.east_m if place else None, place.north_m if place else None, call.decision,
+        *(getattr(call, each) for each in hidden),
+    ]  # fmt: skip
 
 
 def write_geojson(records: Sequence[Record]) -> str:
@@ -108,8 +125,7 @@ def plan_geojson(record: Record) -> str | None:
         features.append(_line(record, "plan", way))
     for feature in features:
         facts = feature["properties"]
-        server = facts.get("server")
-        colour = LIGHT.places[0] if server is None else LIGHT.of_server(record.servers.index(server))
+        colour = LIGHT.of_place(facts.get("server"), record.servers)
         facts["name"] = " ".join(str(facts[key]) for key in ("kind", "server", "waypoint") if key in facts)
         facts["style"] = {"color": colour, "weight": 2, "fillOpacity": 0.1}
     return msgspec.json.encode({"type": "FeatureCollection", "features": features}).decode()
@@ -210,10 +226,10 @@ def _feature(record: Record, kind: str, shape: str, coordinates: object, **facts
 def _degrees(frame: LocalFrame, place: Position) -> list[float]:
     """Longitude before latitude, as GeoJSON has them; heights there are not those above home, so none is given."""
     geo = frame.geo(place)
-    return [round(geo.longitude_deg, _DIGITS), round(geo.latitude_deg, _DIGITS)]
+    return [round(geo.longitude_deg, DIGITS), round(geo.latitude_deg, DIGITS)]
 
 
 def _ring(frame: LocalFrame, area: Circle) -> list[list[float]]:
     """The circle as a closed ring, anticlockwise."""
-    corners = area.corners(_SIDES)
+    corners = area.corners(SIDES)
     return [_degrees(frame, corner) for corner in (*corners, corners[0])]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -12,7 +11,7 @@ from xml.etree import ElementTree
 import msgspec
 
 from upwash.report.crops import crop_of
-from upwash.report.exports import cell
+from upwash.report.exports import DIGITS, as_rows
 from upwash.report.numbering import FlightFindings, PlacedFinding
 from upwash.report.photos import PhotoShelf
 from upwash.report.reviewed import reviewed
@@ -20,7 +19,6 @@ from upwash.support.text import escaped
 
 Pictures = Mapping[int, str]  # by the findings' places in the list, counted from 0: the name of the file
 
-_DIGITS = 7  # of a degree: about a centimetre
 _MOST_CROPS = 1000
 _KML = "http://www.opengis.net/kml/2.2"
 _WRITTEN = (1980, 1, 1, 0, 0, 0)  # the same findings make the same file
@@ -36,12 +34,7 @@ def as_csv(findings: Sequence[PlacedFinding], pictures: Pictures | None = None, 
 
     How many are `reviewed` has no place in a table.
     """
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(_COLUMNS)
-    for facts in _facts(findings, pictures):
-        rows.writerow([cell(facts[name]) for name in _COLUMNS])
-    return text.getvalue()
+    return as_rows(_COLUMNS, (map(facts.__getitem__, _COLUMNS) for facts in _facts(findings, pictures)))
 
 
 def as_geojson(
@@ -155,8 +148,8 @@ def facts_of(found: PlacedFinding) -> dict[str, Any]:
         "waypoint": finding.waypoint,
         "t_s": round(found.mission_s, 3),
         "time": found.time.isoformat(timespec="milliseconds").replace("+00:00", "Z") if found.time else None,
-        "latitude_deg": None if latitude_deg is None else round(latitude_deg, _DIGITS),
-        "longitude_deg": None if longitude_deg is None else round(longitude_deg, _DIGITS),
+        "latitude_deg": None if latitude_deg is None else round(latitude_deg, DIGITS),
+        "longitude_deg": None if longitude_deg is None else round(longitude_deg, DIGITS),
         "east_m": round(finding.place.east_m, 2),
         "north_m": round(finding.place.north_m, 2),
         "error_m": None if finding.error_m is None else round(finding.error_m, 2),

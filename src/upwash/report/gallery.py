@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 
 from upwash.eventlog.objects import Outline
 from upwash.eventlog.progress import clock
-from upwash.report import tables
 from upwash.report.crops import Crop, cut_out
 from upwash.report.findings import MOST_PICTURED
 from upwash.report.markup import Markup, element, joined
 from upwash.report.numbering import PlacedFinding
 from upwash.report.photos import PhotoShelf
 from upwash.report.reviewed import ReviewedFindings
+from upwash.report.tables import table
 from upwash.support.text import printable
 
 _WITHOUT = (
@@ -48,11 +49,12 @@ def draw_findings(reviewed: ReviewedFindings, shelf: PhotoShelf, *, most: int, w
         notes.append(_note(f"No more than {most} pictures are shown; the table has every finding."))
     elif lacking:
         notes.append(_note(_WITHOUT))
-    table = tables.findings(found, whose=whose)
+    every = _table(found, whose=whose)
     if not pictures:
-        return joined(*notes, table)
+        return joined(*notes, every)
     gallery = element("ul", *pictures[:most], class_="gallery")
-    return joined(gallery, *notes, tables.folded("The findings as a table", table))
+    folded = element("details", element("summary", "The findings as a table"), every)
+    return joined(gallery, *notes, folded)
 
 
 def _note(text: str) -> Markup:
@@ -73,10 +75,43 @@ def _picture(found: PlacedFinding, drawn: Markup, *, whose: bool) -> Markup:
         element("br"),
         f"{flight}{where}at {clock(found.mission_s)}",
         element("br"),
-        tables.coordinates(found),
+        coordinates(found),
         *((element("br"), element("bdi", found.note)) if found.note else ()),
     )
     return element("li", element("figure", drawn, caption))
+
+
+def _table(found: Sequence[PlacedFinding], *, whose: bool) -> Markup:
+    """A row a finding, with the names of their flights where it matters `whose` each is."""
+    are_reviewed = any(each.review for each in found)
+    flight, review = ["flight"] if whose else [], ["review"] if are_reviewed else []
+    rows = [
+        [
+            str(each.number),
+            *([each.flight.log] if whose else []),
+            clock(each.mission_s),
+            "start" if each.finding.waypoint is None else str(each.finding.waypoint),
+            coordinates(each),
+            element("bdi", each.finding.words),  # may be written from right to left
+            *([_reviewed(each)] if are_reviewed else []),
+        ]
+        for each in found
+    ]
+    heads = ["finding", *flight, "at", "waypoint", "place", "what the user was told", *review]
+    return table("Findings", heads, rows, rest="--findings FILE writes every finding")
+
+
+def _reviewed(found: PlacedFinding) -> Markup:
+    """The verdict and the note of a finding; empty without them."""
+    verdict = found.review.verdict.value if found.review and found.is_reviewed else ""
+    return joined(verdict, ": " if verdict and found.note else "", element("bdi", found.note))
+
+
+def coordinates(found: PlacedFinding, home: str = "home") -> str:
+    """The place in degrees where it is known where home is, else in metres from there."""
+    if found.earth is not None:
+        return "{:.6f}°, {:.6f}°".format(*found.earth)
+    return f"{found.finding.place.east_m:.1f} m east, {found.finding.place.north_m:.1f} m north of {home}"
 
 
 def outlined(box: Outline, crop: Crop, name: str, *, again: bool = False) -> Markup:

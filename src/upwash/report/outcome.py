@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from upwash.eventlog import schema
+from upwash.eventlog.ending import went_on
 from upwash.eventlog.progress import clock
 from upwash.eventlog.results import RunResult, Totals
-from upwash.support.text import counted
 
 _MINUTE_S = 60.0
 UNPLANNED = schema.Planned()  # by its identity: what the drone set out to do is not in the log
@@ -22,11 +22,6 @@ class Outcome:
     plan: schema.Planned
     result: RunResult
     world: tuple[str, int] | None = None
-
-    @property
-    def saved_s(self) -> float | None:
-        """What offloading saved against the local delays measured; None where they are not known."""
-        return self.result.saved_s()
 
 
 def lasting(seconds: float) -> str:
@@ -59,17 +54,14 @@ def _all(calls: int) -> str:
 def _going(totals: Totals) -> str:
     if not totals.went_on:
         return ""
-    back = totals.turns_back or "none"
-    return (
-        f" The drone flew on before {counted(totals.went_on, 'answer')} and turned back for {back}; it waited for "
-        f"answers for {lasting(totals.service_delay_s - totals.hidden_s)}."
-    )
+    waited_s = totals.service_delay_s - totals.hidden_s
+    return f" The drone {went_on(totals)}; it waited for answers for {lasting(waited_s)}."
 
 
 def _saving(run: Outcome) -> str:
     if run.result.totals.went_on and run.result.completed:
         return "What offloading saved is not known: the drone went on before answers were there."
-    local_only_s, saved_s = run.result.local_only_time_s(), run.saved_s
+    local_only_s, saved_s = run.result.local_only_time_s(), run.result.saved_s()
     if local_only_s is None or saved_s is None:
         return "What offloading saved is not known: that takes a completed mission with calls on the drone."
     return (

@@ -38,6 +38,10 @@ class Theme:
         """The colour of the server of that index, by the order of the names; after the last the first comes again."""
         return self.places[1 + index % (len(self.places) - 1)]
 
+    def of_place(self, server: str | None, servers: Sequence[str]) -> str:
+        """The colour of one of the servers, or of the drone."""
+        return self.places[0] if server is None else self.of_server(servers.index(server))
+
 
 LIGHT = Theme(
     paper="#ffffff", ink="#1d2327", soft="#5a6570", line="#d9dee3", band="#f4f6f8",

@@ -12,17 +12,17 @@ from pathlib import Path
 from upwash.core.geo import Position
 from upwash.errors import UsageError
 from upwash.eventlog import schema
+from upwash.eventlog.ending import Ending
 from upwash.eventlog.log import EventLog
 from upwash.eventlog.reasons import CallText
 from upwash.eventlog.results import CallResult, RunResult
 from upwash.eventlog.schema import Event
 from upwash.report.findings import Finding
-from upwash.report.notices import Notices, NoticesTaken
 from upwash.report.numbering import FlightFindings, PlacedFinding
 from upwash.report.outcome import Outcome
 from upwash.report.reviewed import ReviewedFindings, reviewed
 from upwash.report.reviews import NO_REVIEWS, Reviews, read_reviews
-from upwash.report.story import OpenAnswer, Story, Stretch, place_of
+from upwash.report.story import Story, Stretch, place_of
 from upwash.support.progress import work
 from upwash.support.text import by_name
 
@@ -51,20 +51,14 @@ class MissionEvents:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One run; `servers` are those of the plan and of the calls, in the order of their names.
-
-    `opened` is the time of day at second 0 of the event log, None for a simulated one; `began_s` is the mission's
-    start in seconds of the log. `simulated` is the simulation's own first line, None for a flight. `answers` are
-    those that the drone went on before, `worst` the calls that lost most, the worst first. `measured` is what
-    was known in the end of servers without a range, place by place.
-    """
+    """One run, with its events until the mission was completed."""
 
     name: str
     story: Story
     events: Iterable[Event]
     result: RunResult
     stretches: Mapping[str, Sequence[Stretch]]
-    notices: Notices
+    ending: Ending
     reviews: Reviews = NO_REVIEWS
 
     @property
@@ -98,16 +92,6 @@ class Record:
         return self.story.finder.found
 
     @property
-    def answers(self) -> Sequence[OpenAnswer]:
-        """The answers that the drone went on before."""
-        return self.story.answers
-
-    @property
-    def measured(self) -> list[tuple[str, schema.MeasuredRecord]]:
-        """What was known in the end of servers without a range, place by place."""
-        return [(server, place) for (server, _, _), place in self.story.measured.items()]
-
-    @property
     def calls(self) -> Sequence[CallResult]:
         """The calls, in the order of their ends."""
         return self.result.calls
@@ -125,7 +109,7 @@ class Record:
     @property
     def turns(self) -> Iterator[tuple[int | None, Position]]:
         """The waypoints that the drone turned back to, and where it did."""
-        return ((each.waypoint, each.turned_at) for each in self.answers if each.turned_at is not None)
+        return ((each.waypoint, each.position) for each in self.events if isinstance(each, schema.TurnedBack))
 
     @property
     def track(self) -> Iterator[Fix]:
@@ -138,11 +122,6 @@ class Record:
         """The servers that the run knows of, by name."""
         known = {*self.plan.ranges, *self.plan.measured, *self.stretches, *self.result.totals.remote}
         return sorted(known, key=by_name)
-
-    @property
-    def saved_s(self) -> float | None:
-        """What offloading saved against the local delays measured; None where they are not known."""
-        return self.outcome.saved_s
 
     @property
     def found(self) -> FlightFindings:
@@ -187,7 +166,7 @@ def record_of(events: Sequence[Event], log: Path) -> Record:
 
 def _record_of_log(events: EventLog, log: Path, name: str) -> Record:
     record = _record(events, log, name)
-    return replace(record, notices=record.notices.with_caution(events.left_out))
+    return replace(record, ending=record.ending.with_caution(events.left_out))
 
 
 def names_of(logs: Sequence[Path]) -> list[str]:
@@ -197,15 +176,14 @@ def names_of(logs: Sequence[Path]) -> list[str]:
 
 
 def _record(events: Iterable[Event], log: Path, name: str) -> Record:
-    story, notices, first, end = Story(), NoticesTaken(), 0, 0
+    story, first, end = Story(), 0, 0
     track = _Track(0.0)
     try:
         for number, event in enumerate(events):
             if isinstance(event, schema.LogOpened):
-                story, notices, first = Story(), NoticesTaken(), number
+                story, first = Story(), number
             if not story.tally.completed:
                 story.take(event)
-                notices.take(event, event.t - story.began_s)
                 track.take(event)  # whether it can be read is known from here on
                 end = number + 1
         if story.tally.began_s is None:
@@ -217,7 +195,7 @@ def _record(events: Iterable[Event], log: Path, name: str) -> Record:
             events=MissionEvents(events, first, end),
             result=result,
             stretches=story.stretches,
-            notices=notices.notices(result),
+            ending=story.ending(result),
         )
     except (KeyError, TypeError, ValueError) as error:  # msgspec's ValidationError is a ValueError
         raise UsageError(f"{log} is not an event log that this version reads: {error!r}") from error

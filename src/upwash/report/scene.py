@@ -22,12 +22,12 @@ from foxglove.messages import (
 
 from upwash.core.geo import Circle, Position
 from upwash.core.knowledge.servers import State
+from upwash.report.exports import SIDES
 from upwash.report.palette import DARK, components
 from upwash.report.record import Record
 from upwash.report.story import Stretch
 
 FRAME = "home"  # east, north and up of it
-_SIDES = 64  # of the line around a range
 _DRONE_M, _CALL_M, _WAYPOINT_M = 4.0, 2.5, 1.0  # sizes
 _RANGE_HEIGHT_M = 0.2
 
@@ -94,7 +94,7 @@ def _range(server: str, area: Circle, stretch: Stretch, time: Timestamp) -> Scen
         top_scale=1.0,
         color=_shade(red, green, blue, opacity),
     )
-    border = _line(area.corners(_SIDES), _shade(red, green, blue), LinePrimitiveLineType.LineLoop)
+    border = _line(area.corners(SIDES), _shade(red, green, blue), LinePrimitiveLineType.LineLoop)
     return SceneEntity(
         timestamp=time,
         frame_id=FRAME,
@@ -118,17 +118,13 @@ def _drone(place: Position, time: Timestamp) -> SceneEntity:
 
 
 def _call(index: int, server: str | None, place: Position, record: Record, time: Timestamp) -> SceneEntity:
+    colour = _shade(*components(DARK.of_place(server, record.servers)))
     return SceneEntity(
         timestamp=time,
         frame_id=FRAME,
         id=f"call {index}: {server or 'drone'}",
-        spheres=[_ball(place, _CALL_M, _colour(server, record))],
+        spheres=[_ball(place, _CALL_M, colour)],
     )
-
-
-def _colour(server: str | None, record: Record) -> Color:
-    colour = DARK.places[0] if server is None else DARK.of_server(record.servers.index(server))
-    return _shade(*components(colour))
 
 
 def _line(

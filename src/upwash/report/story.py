@@ -10,8 +10,10 @@ from datetime import datetime
 from upwash.core.geo import GeoPosition, Position
 from upwash.core.knowledge.servers import State
 from upwash.eventlog import schema
+from upwash.eventlog.ending import Ending, EndingSoFar
+from upwash.eventlog.notices import Notice, Notices
 from upwash.eventlog.reasons import CallText, ExplainedAnswer, ExplainedCall, Reasons, worst_of
-from upwash.eventlog.results import Tally
+from upwash.eventlog.results import RunResult, Tally
 from upwash.eventlog.schema import Event
 from upwash.report.findings import Finder, Finding
 from upwash.report.numbering import FlightFindings
@@ -31,24 +33,13 @@ class Stretch:
     why: str
 
 
-@dataclass(frozen=True, slots=True)
-class OpenAnswer:
-    """The answer of a waypoint while it was open, in seconds of the mission; `turned_at` is None without a turn."""
-
-    waypoint: int | None
-    from_s: float
-    to_s: float
-    turned_at: Position | None
-
-
 class Story:
     """Follows one run; a log's `LogOpened` begins another one, for another story.
 
-    `opening` is the first event, `plan` the first plan, and `drone` None before the mission began. `found` and
-    `explained` are what the last event told: objects, and the call that it ended or the answer that it took. `places`
-    are those where the drone made each call, and `worst` has the calls that lost most, the worst first. `steps` has
-    the states of each server, with their seconds of the log and their reasons; `measured` what is known of servers
-    without a range, by server and place.
+    `opening` is the first event, `plan` the first plan, and `drone` None before the mission began. The last event
+    told of objects that were `found`, of a call or of an answer that it `explained`, and of what a person should know
+    (`noticed`). `places` are those where the drone made each call, and `worst` has the calls that lost most, the
+    worst first. `steps` has the states of each server, with their seconds of the log and their reasons.
     """
 
     def __init__(self) -> None:
@@ -65,10 +56,9 @@ class Story:
         self.finder = Finder()
         self.found: Sequence[Finding] = ()
         self.steps: dict[str, list[tuple[float, State, str]]] = {}
-        self.measured: dict[tuple[str, float, float], schema.MeasuredRecord] = {}
-        self.answers: list[OpenAnswer] = []
-        self._open_since_s: dict[int | None, float] = {}
-        self._turned_at: dict[int | None, Position] = {}
+        self.noticed: Sequence[Notice] = ()
+        self._notices = Notices()
+        self._ending = EndingSoFar()
 
     def take(self, event: Event) -> None:
         """Takes in the next event."""
@@ -76,6 +66,9 @@ class Story:
         self.now_s = max(self.now_s, event.t)
         if not self.tally.completed:
             self.tally.take(event)
+        self.noticed = list(self._notices.take(event))
+        for notice in self.noticed:
+            self._ending.put(notice, event.t)
         if type(event) is schema.PositionReport:  # most events of a long log, of which the rest knows nothing
             self.explained, self.found = None, ()
             return
@@ -86,15 +79,11 @@ class Story:
                 self._take_plan(event)
             case schema.MissionStarted(drone=drone):
                 self.drone = drone
-            case schema.PlaceMeasured(server=server, place=place):
-                self.measured[server, place.east_m, place.north_m] = place
             case schema.LogResumed():  # a program that starts again knows no server's state
                 for steps in self.steps.values():
                     steps.append((event.t, State.AVL, "taken up again"))
             case schema.ServerStep(server=server):
                 self._know(server, event.before).append((event.t, event.after, event.why))
-            case _:
-                self._take_answer(event)
 
     def _take_explained(self, explained: ExplainedCall | ExplainedAnswer | None) -> None:
         match explained:
@@ -109,29 +98,12 @@ class Story:
     def _take_plan(self, plan: schema.Planned) -> None:
         self.plan = plan if self.plan is UNPLANNED else self.plan
         self.home = self.home or plan.home
-        for server, known in plan.measured.items():
-            self.measured |= {(server, each.east_m, each.north_m): each for each in known}
         for server in (*plan.ranges, *plan.measured):
             self._know(server)
 
     def _know(self, server: str, state: State = State.AVL) -> list[tuple[float, State, str]]:
         """The steps of the server, which had that state if nothing was known of it."""
         return self.steps.setdefault(server, [(0.0, state, "")])
-
-    def _take_answer(self, event: Event) -> None:
-        at_s = event.t - self.began_s
-        match event:
-            case (
-                schema.StayOrGo(waypoint=waypoint, goes=True)
-                | schema.Arrived(waypoint=waypoint, passing=True)
-            ):
-                self._open_since_s[waypoint] = at_s
-            case schema.TurnedBack(waypoint=waypoint, position=position):
-                self._turned_at[waypoint] = position
-                self._open_since_s.setdefault(waypoint, at_s)  # of a row's end
-            case schema.AnswerTaken(waypoint=waypoint) if waypoint in self._open_since_s:
-                from_s, turned_at = self._open_since_s.pop(waypoint), self._turned_at.pop(waypoint, None)
-                self.answers.append(OpenAnswer(waypoint, from_s, at_s, turned_at))
 
     @property
     def began_s(self) -> float:
@@ -162,6 +134,10 @@ class Story:
                 if to_s > from_s
             ]
         return found
+
+    def ending(self, result: RunResult) -> Ending:
+        """What a person should know of the run afterwards; the result is its own."""
+        return self._ending.ending(result, self.began_s)
 
     def findings(self, log: str) -> FlightFindings:
         """What was found until now, on the flight of that log."""

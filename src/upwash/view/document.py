@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import base64
 import functools
-import hashlib
 import re
 from graphlib import TopologicalSorter
 from importlib.resources import files
 
-from upwash.report.markup import Markup, element
+from upwash.report.markup import Markup, element, head, source_of
 from upwash.report.palette import stylesheet
 
 _PAGE = files("upwash.view") / "page"
@@ -24,33 +23,16 @@ def document(title: str, *, policy: str = "") -> tuple[Markup, Markup]:
 
     A policy is in the words of Content-Security-Policy, without the document's own `sources`.
     """
-    stated = (
-        element("meta", http_equiv="Content-Security-Policy", content=f"{policy}; {sources()}")
-        if policy
-        else Markup()
-    )
-    head = element(
-        "head",
-        element("meta", charset="utf-8"),
-        stated,
-        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        element("meta", name="color-scheme", content="light dark"),
-        element("title", title),
-        element("link", rel="icon", href=_icon()),
-        element("style", Markup(_style())),
-    )
-    begin = f'<!DOCTYPE html>\n<html lang="en">{head}<body>{_read("body.html")}'
+    icon = element("link", rel="icon", href=_icon())
+    opened = head(title, _style(), icon, policy=f"{policy}; {sources()}" if policy else "")
+    begin = f'<!DOCTYPE html>\n<html lang="en">{opened}<body>{_read("body.html")}'
     return Markup(begin), Markup(f"<script>{_script()}</script></body></html>\n")
 
 
 @functools.cache
 def sources() -> str:
     """What a policy has to say of the scripts and styles that are in the document: these run, and no others."""
-    return f"script-src '{_digest(_script())}'; style-src '{_digest(_style())}'"
-
-
-def _digest(text: str) -> str:
-    return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
+    return f"script-src {source_of(_script())}; style-src {source_of(_style())}"
 
 
 def _read(name: str) -> str:

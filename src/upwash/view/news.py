@@ -14,7 +14,7 @@ from upwash.core.vehicle.control import Owner
 from upwash.eventlog import schema
 from upwash.eventlog.causes import Considered, Course, course_after
 from upwash.eventlog.narration import MEANINGS, Narrator, tone_of
-from upwash.eventlog.notices import Notice, Notices
+from upwash.eventlog.notices import Notice
 from upwash.eventlog.objects import found_objects
 from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, call_lines, decision_lines
 from upwash.eventlog.schema import Event
@@ -51,7 +51,6 @@ class News:
         self.ended = False
         self._keeps = keeps
         self._narrator = Narrator()
-        self._notices = Notices()
         self._began_s: float | None = None
         self._policy = ""
         self._place: Position | None = None
@@ -67,7 +66,7 @@ class News:
         """What the next event tells."""
         self.story.take(event)
         # Most events of a long log are positions.
-        if type(event) is schema.PositionReport and self._doing and not self._notices.is_stale(event.t):
+        if type(event) is schema.PositionReport and self._doing and not self.story.noticed:
             here = Position(event.east_m, event.north_m, event.altitude_m)
             self._control.take(event)
             fix = (self._fix(here, event),) if self._is_news(here) else ()
@@ -95,7 +94,7 @@ class News:
             yield self._call(explained)
         yield from self._amended(event, explained)
         yield from self._going(event, explained)
-        yield from map(self._notice, self._notices.take(event))
+        yield from map(self._notice, self.story.noticed)
         if isinstance(event, schema.ServerStep):
             yield self._step(event.server)
         if said is not None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import functools
-import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -17,7 +15,7 @@ from upwash.report.client.sitemap import DrawnMap, SiteMap, sites_of
 from upwash.report.client.survey import Flown, Survey, survey_of
 from upwash.report.client.words import NO_WORDS, Words
 from upwash.report.gallery import in_document
-from upwash.report.markup import Markup, element, joined
+from upwash.report.markup import Markup, element, head, joined, source_of
 from upwash.report.palette import DARK, LIGHT, Theme
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record
@@ -81,22 +79,10 @@ def client_document(
         element("footer", "Places are in degrees of WGS 84; times are UTC. Made with upwash."),
     )
     shown = len(album.photos.keys() | album.thumbnails.keys() | album.laid)
-    html = f"<!DOCTYPE html>\n{element('html', _head(title), element('body', body), lang='en')}\n".encode()
-    return ClientDocument(html, len(survey.photographs), shown, album.full)
-
-
-def _head(title: str) -> Markup:
     style = _style()
-    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
-    return element(
-        "head",
-        element("meta", charset="utf-8"),
-        element("meta", http_equiv="Content-Security-Policy", content=f"{_SECURITY} 'sha256-{digest}'"),
-        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        element("meta", name="color-scheme", content="light dark"),
-        element("title", title),
-        element("style", Markup(style)),
-    )
+    opened = head(title, style, policy=f"{_SECURITY} {source_of(style)}")
+    html = f"<!DOCTYPE html>\n{element('html', opened, element('body', body), lang='en')}\n".encode()
+    return ClientDocument(html, len(survey.photographs), shown, album.full)
 
 
 @functools.cache

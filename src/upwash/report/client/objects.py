@@ -8,10 +8,10 @@ from upwash.report.client.album import Album
 from upwash.report.client.sitemap import ink_on
 from upwash.report.client.survey import Inspected, Look, Survey
 from upwash.report.client.words import Word, Words
-from upwash.report.gallery import outlined
+from upwash.report.gallery import coordinates, outlined
 from upwash.report.markup import Markup, element, joined
 from upwash.report.numbering import PlacedFinding
-from upwash.report.tables import scrolled
+from upwash.report.tables import framed
 from upwash.support.text import counted, printable
 
 _LONGEST_LABEL = 80  # characters
@@ -133,13 +133,7 @@ def _row(each: Inspected, words: Words, *, ground: bool, linked: bool) -> Markup
 
 def _whole(caption: str, heads: Sequence[str], rows: Sequence[Markup]) -> Markup:
     head = [element("th", name, scope="col", class_=_STYLES.get(name, "figures")) for name in heads]
-    table = element(
-        "table",
-        element("caption", caption),
-        element("thead", element("tr", *head)),
-        element("tbody", *rows),
-    )
-    return scrolled(table, caption)
+    return framed(caption, head, rows)
 
 
 # --- each object --------------------------------------------------------------------------------------------
@@ -192,10 +186,7 @@ def _facts(each: Inspected) -> Iterator[str]:
     found, finding = each.found, each.found.finding
     if finding.score is not None:
         yield f"Score {_percent(finding.score)}"
-    if found.earth is not None:
-        yield "{:.6f}°, {:.6f}°".format(*found.earth)
-    else:
-        yield f"{finding.place.east_m:.1f} m east, {finding.place.north_m:.1f} m north of the take-off"
+    yield coordinates(found, home="the take-off")
     yield finding.place_is if finding.error_m is None else f"within {_metres(finding.error_m)}"
     if finding.own is not None and finding.own.assumes:
         yield f"assuming {finding.own.assumes}"
