@@ -44,8 +44,8 @@ def test_every_call_is_explained_by_what_was_believed(capsys: pytest.CaptureFixt
     assert fifth[1] == "    Ran on pole2, ready after a wait of 2.38 s, in 3.08 s."
     assert "pole1 was deselected: pole2 serves the next 20 calls in " in fifth[2]
     assert "less than with pole1 kept" in fifth[2]
-    assert "0.70 s on pole2 (CHECK for 9.1 of 11.5 s)" in fifth[4]
-    assert fifth[5].endswith("decided: wait for pole2 for at most 6.8 s (READY expected in 2.38 s)")
+    assert "0.70 s on pole2 (joining for 9.1 of 11.5 s)" in fifth[4]
+    assert fifth[5].endswith("decided: wait for pole2 for at most 6.8 s (expected to be ready in 2.38 s)")
 
 
 def test_the_calls_of_one_waypoint_or_the_worst_alone_are_explained(

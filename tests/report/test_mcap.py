@@ -24,6 +24,7 @@ from mcap.reader import make_reader
 
 from upwash.cli.main import main
 from upwash.core.geo import GeoPosition, LocalFrame
+from upwash.eventlog.narration import STATE_WORDS
 from upwash.report.record import Record, read_records
 from upwash.report.reviews import FindingKey, Review, Verdict, append_review
 from upwash.report.series import STATE_NUMBERS
@@ -170,7 +171,7 @@ def test_the_scene_has_the_plan_each_state_the_drone_and_a_mark_for_each_call(
     for server, stretches in record.stretches.items():
         told = [(at_s, entity) for at_s, entity in scene if entity.id == f"server {server}"]
         assert [entity.texts[0].text for _, entity in told] == [
-            f"{server} {stretch.state}" for stretch in stretches
+            f"{server} {STATE_WORDS[stretch.state]}" for stretch in stretches
         ]
         assert [at_s for at_s, _ in told] == pytest.approx([stretch.from_s for stretch in stretches])
         radius_m = record.plan.ranges[server].radius_m
@@ -261,8 +262,8 @@ def test_the_log_says_in_words_what_went_wrong(flown: Path) -> None:
     told = [(each.message.level, each.message.message) for each in kind(recorded(flown), "Log")]
     assert told == [
         (2, "mission started, policy location-aware"),
-        (2, "s1: AVL → CHECK (in range)"),
-        (3, "s1: CHECK → BLACKLISTED (off)"),
+        (2, "joining s1 (in range)"),
+        (3, "s1 is left alone (off)"),
         (4, "the flight cannot go on, landing where it is: the radio is silent. Be ready to take over"),
     ]
 

@@ -100,8 +100,8 @@ def test_every_drone_is_listed_at_the_same_moment_of_one_clock(page: Browser, fl
     assert " / 0:31 · " in page.text("#clock"), "to the end of the last mission, and the time of day"
     page.seek(6.8)
     assert page.rows(".drones") == [
-        ["1 drone-1", "at waypoint 1", "2 of 5", "s1 READY", "2, 1 on servers", "1.5 s", "88 %"],
-        ["2 drone-2", "at waypoint 0", "1 of 5", "s1 CHECK", "1, 0 on servers", "0.0 s", "88 %"],
+        ["1 drone-1", "at waypoint 1", "2 of 5", "s1 ready", "2, 1 on servers", "1.5 s", "88 %"],
+        ["2 drone-2", "at waypoint 0", "1 of 5", "s1 joining", "1, 0 on servers", "0.0 s", "88 %"],
         ["3 drone-3", "starting the services of the drone", "0 of 5", "none", "0, 0 on servers", "", ""],
     ]
     assert [element.text for element in page.all(".users .badge")] == ["1", "2"], "who uses s1"

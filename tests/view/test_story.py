@@ -14,6 +14,7 @@ from tests.scenarios import scenario as survey
 from upwash.cli.main import main
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
+from upwash.eventlog.narration import STATE_WORDS
 from upwash.eventlog.reasons import explained_calls
 from upwash.eventlog.schema import Event
 from upwash.lab.run import simulate
@@ -81,7 +82,11 @@ def test_the_states_of_the_servers_are_those_of_the_report(told: list[Fact], rec
         steps = [
             (step.at_s, step.state, step.why) for step in those(facts.Step, told) if step.server == server
         ]
-        begun = [(stretch.from_s, stretch.state, stretch.why) for stretch in stretches if stretch.from_s > 0]
+        begun = [
+            (stretch.from_s, STATE_WORDS[stretch.state], stretch.why)
+            for stretch in stretches
+            if stretch.from_s > 0
+        ]
         assert [step for step in steps if step in begun] == begun, "and some that lasted no time at all"
 
 
@@ -127,7 +132,10 @@ def test_a_program_that_takes_a_flight_up_again_knows_no_states() -> None:
             event("mission_started", 8.0, policy="location-aware", waypoints=2, done=[0]),
         ]
     )
-    assert [(step.at_s, step.state) for step in those(facts.Step, told)] == [(3.0, "CHECK"), (7.0, "AVL")]
+    assert [(step.at_s, step.state) for step in those(facts.Step, told)] == [
+        (3.0, "joining"),
+        (7.0, "not joined"),
+    ]
     assert [began.at_s for began in those(facts.Began, told)] == [2.0], "its time goes on"
 
 

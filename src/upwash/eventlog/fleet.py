@@ -9,14 +9,13 @@ from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
+from upwash.core.knowledge.servers import SELECTED
 from upwash.eventlog import schema
-from upwash.eventlog.narration import Narrator
+from upwash.eventlog.narration import STATE_WORDS, Narrator, tone_of
 from upwash.eventlog.schema import Event
-from upwash.eventlog.terminal import STATE_STYLES, TONE_STYLES, LiveDisplay
+from upwash.eventlog.terminal import TONE_STYLES, LiveDisplay
 from upwash.support.tables import fit
 from upwash.support.text import printable
-
-_IN_USE = ("READY", "CHECK", "CHECK-R")  # the states of a server that a drone uses or is about to
 
 
 class FleetProgress(LiveDisplay):
@@ -86,6 +85,9 @@ class _Drone:
     @property
     def server(self) -> Text:
         """The server that it uses, or is about to, with its state."""
-        used = [(server, state) for server, state in self._states.items() if state in _IN_USE]
-        texts = [Text(f"{printable(server)} {state}", style=STATE_STYLES[state]) for server, state in used]
+        used = [(server, state) for server, state in self._states.items() if state in SELECTED]
+        texts = [
+            Text(f"{printable(server)} {STATE_WORDS[state]}", style=TONE_STYLES[tone_of(state)])
+            for server, state in used
+        ]
         return Text(", ").join(texts)

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from upwash.core.knowledge.servers import State
+from upwash.core.knowledge.servers import CHECKING, SELECTED, State
 from upwash.core.vehicle.control import Owner
 from upwash.core.vehicle.way_home import in_words
 from upwash.eventlog import schema
@@ -52,12 +52,13 @@ class Tone(StrEnum):
     ALARM = "alarm"  # a person must act
 
 
-MEANINGS = {  # CHECK-R means the same as CHECK
-    State.AVL: "available",
-    State.AVL_R: "available, its services running",
-    State.CHECK: "being checked",
-    State.READY: "ready for calls",
-    State.BLACKLISTED: "blacklisted",
+STATE_WORDS: Mapping[str, str] = {  # what people read; the codes stand in logs and in reference alone
+    State.AVL: "not joined",
+    State.AVL_R: "running, not joined",
+    State.CHECK: "joining",
+    State.CHECK_R: "joining",
+    State.READY: "ready",
+    State.BLACKLISTED: "left alone",
 }
 _STATE_TONES: dict[str, Tone] = {
     State.READY: Tone.READY,
@@ -262,7 +263,7 @@ def _sentence(event: Event) -> Sentence | None:
     """The sentence of an event whose words depend on its content."""
     match event:
         case schema.ServerStep(server=server, before=before, after=after, why=why):
-            return Sentence(f"{server}: {before} → {after}" + (f" ({why})" if why else ""), tone_of(after))
+            return Sentence(f"{_step(server, before, after)}{f' ({why})' if why else ''}", tone_of(after))
         case schema.Notified(message=message):
             return Sentence(f"told the user: {in_one_line(message)}", Tone.FOUND)
         case schema.Planned(order_why=str(why)) if why:
@@ -279,6 +280,17 @@ def _sentence(event: Event) -> Sentence | None:
             said = f"this computer's clock said {before.isoformat()}: set to {after.isoformat()}"
             return Sentence(f"{said}, as the vehicle's GPS has it")
     return _waiting_sentence(event) or _computer_sentence(event) or _vehicle_sentence(event)
+
+
+def _step(server: str, before: State, after: State) -> str:
+    """What a server came to."""
+    if after in CHECKING:
+        return f"joining {server}"
+    if before in SELECTED and after in (State.AVL, State.AVL_R):
+        return f"leaving {server}"
+    if before is State.BLACKLISTED:
+        return f"{server} may be joined again"
+    return f"{server} is {STATE_WORDS[after]}"
 
 
 def _waiting_sentence(event: Event) -> Sentence | None:

@@ -11,7 +11,7 @@ from upwash.core.geo import Position, ground_distance_m
 from upwash.core.knowledge.servers import State
 from upwash.eventlog import schema
 from upwash.eventlog.causes import SHORTEST_S, Considered, Standings, ran
-from upwash.eventlog.narration import ran_on
+from upwash.eventlog.narration import STATE_WORDS, ran_on
 from upwash.eventlog.progress import CallPlaces, MissionTime, clock
 from upwash.eventlog.schema import Event
 
@@ -317,7 +317,7 @@ def _beliefs(decision: schema.Decided) -> str:
         drone = "expected: no answer on the drone, which cannot run it"
     if decision.selected is None:
         return drone
-    state = str(decision.state)
+    state = STATE_WORDS.get(str(decision.state), str(decision.state))
     if decision.state != State.READY and decision.check_s is not None:
         state += f" for {decision.check_elapsed_s or 0.0:.1f} of {decision.check_s:.1f} s"
     return f"{drone}, {_seconds(remote_s)} on {decision.selected} ({state})"

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from upwash.eventlog import schema
 from upwash.eventlog.ending import by_place, left_undone, never_ready, reached, went_on
-from upwash.eventlog.narration import Narrator, Sentence, Tone
+from upwash.eventlog.narration import STATE_WORDS, Narrator, Sentence, Tone, tone_of
 from upwash.eventlog.notices import LEFT_HOVERING
 from upwash.eventlog.results import EnergyTotals, RunResult, Totals
 from upwash.eventlog.schema import Event
@@ -26,7 +26,6 @@ _STILL_WAITING_S = 10.0  # without a line; then a line repeats the state, if the
 _WORTH_SHOWING_S = 0.05
 _FEW_CALLS = 20  # their rows leave the verdict in sight
 _LONG_ARMING_S = 1.0
-STATE_STYLES = {"READY": "green", "CHECK": "yellow", "CHECK-R": "yellow", "BLACKLISTED": "red"}
 TONE_STYLES = {
     Tone.ASIDE: "dim",
     Tone.CHECKING: "yellow",
@@ -120,7 +119,7 @@ class Progress(LiveDisplay):
     def _servers(self) -> Table:
         servers = Table("server", "state", Column("why", style="dim"), box=None, padding=(0, 2))
         for name, (state, why) in self._states.items():
-            servers.add_row(name, Text(state, style=STATE_STYLES.get(state, "")), why)
+            servers.add_row(name, Text(STATE_WORDS[state], style=TONE_STYLES[tone_of(state)]), why)
         fit(servers, self._console.width)
         return servers
 

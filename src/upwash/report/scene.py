@@ -22,6 +22,7 @@ from foxglove.messages import (
 
 from upwash.core.geo import Circle, Position
 from upwash.core.knowledge.servers import State
+from upwash.eventlog.narration import STATE_WORDS
 from upwash.report.exports import SIDES
 from upwash.report.palette import DARK, components
 from upwash.report.record import Record
@@ -37,7 +38,7 @@ def _shade(red: float, green: float, blue: float, opacity: float = 1.0) -> Color
 
 
 _WHITE, _FAINT, _DRONE = _shade(1.0, 1.0, 1.0), _shade(1.0, 1.0, 1.0, 0.4), _shade(0.2, 0.7, 1.0)
-_STATES = {  # each label also says the state in letters
+_STATES = {  # each label also says the state in words
     State.AVL: (0.6, 0.6, 0.6, 0.15),
     State.AVL_R: (0.6, 0.6, 0.9, 0.2),
     State.CHECK: (0.95, 0.75, 0.2, 0.3),
@@ -101,7 +102,7 @@ def _range(server: str, area: Circle, stretch: Stretch, time: Timestamp) -> Scen
         id=f"server {server}",
         cylinders=[cylinder],
         lines=[border],
-        texts=[_label(f"{server} {stretch.state}", area.centre, above_m=2.0)],
+        texts=[_label(f"{server} {STATE_WORDS[stretch.state]}", area.centre, above_m=2.0)],
     )
 
 

@@ -130,11 +130,10 @@ class Stages(Fact, frozen=True):
 
 
 class Step(Fact, frozen=True):
-    """A server came into a state."""
+    """A server came into a state, in the word that people read."""
 
     server: str
     state: str
-    means: str
     tone: str
     why: str
 

@@ -8,12 +8,11 @@ import msgspec
 
 from upwash.core.camera.georeference import PhotoGeometry
 from upwash.core.geo import LocalFrame, Position
-from upwash.core.knowledge.servers import CHECKING, State
 from upwash.core.operation import ON_DRONE
 from upwash.core.vehicle.control import Owner
 from upwash.eventlog import schema
 from upwash.eventlog.causes import Considered, Course, course_after
-from upwash.eventlog.narration import MEANINGS, Narrator, tone_of
+from upwash.eventlog.narration import STATE_WORDS, Narrator, tone_of
 from upwash.eventlog.notices import Notice
 from upwash.eventlog.objects import found_objects
 from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, call_lines, decision_lines
@@ -232,9 +231,8 @@ class News:
 
     def _step(self, server: str) -> facts.Step:
         _, state, why = self.story.steps[server][-1]
-        means = MEANINGS[State.CHECK if state in CHECKING else state]
         return facts.Step(
-            at_s=self._now_s, server=server, state=state, means=means, tone=tone_of(state), why=why
+            at_s=self._now_s, server=server, state=STATE_WORDS[state], tone=tone_of(state), why=why
         )
 
     def _under_way(self, event: Event) -> Iterator[Fact]:

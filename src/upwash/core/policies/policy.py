@@ -271,8 +271,8 @@ class WaitRule(Struct, frozen=True):
         if wait_s <= 0:
             return Wait(call.server, longest_s, "the check takes longer than expected")
         if (call.local_s - (call.remote_s + wait_s)) / call.local_s > self.gain_wait:
-            return Wait(call.server, longest_s, f"READY expected in {wait_s:.2f} s")
-        return Local(f"READY expected in {wait_s:.2f} s, too late to pay off")
+            return Wait(call.server, longest_s, f"expected to be ready in {wait_s:.2f} s")
+        return Local(f"expected to be ready in {wait_s:.2f} s, too late to pay off")
 
 
 _WAIT_RULE = WaitRule()

@@ -29,9 +29,9 @@ export class ServerList {
     for (const [server, row] of this.#rows) {
       const step = moment.step(server);
       row.state.className = `state ${step?.tone ?? "aside"}`;
-      write(row.state, step?.state ?? "AVL");
-      write(row.means, step ? step.why || step.means : "available");
-      row.means.title = step ? [step.means, step.why].filter(Boolean).join(": ") : ""; // a line has no room for all
+      write(row.state, step?.state ?? "not joined");
+      write(row.why, step?.why ?? "");
+      row.why.title = step?.why ?? ""; // a line has no room for all
       const [words, isInside] = away(moment.story.plan?.ranges.get(server), position);
       write(row.away, words);
       write(row.inside, isInside ? ", in range" : "");
@@ -46,10 +46,10 @@ export class ServerList {
     this.body.replaceChildren();
     for (const server of servers) {
       const row = {
-        state: element("span"), means: element("span", { class: "means" }), away: element("span"), inside: element("span", { class: "unseen" }), calls: element("td"),
+        state: element("span"), why: element("span", { class: "means" }), away: element("span"), inside: element("span", { class: "unseen" }), calls: element("td"),
       };
       const name = element("th", { scope: "row", title: server }, this.places.icon(server), ` ${inBrief(server, NAME)}`);
-      const state = element("td", {}, element("div", {}, row.state, " ", row.means));
+      const state = element("td", {}, element("div", {}, row.state, " ", row.why));
       this.body.append(element("tr", {}, name, state, element("td", {}, row.away, row.inside), row.calls));
       this.#rows.set(server, row);
     }
