@@ -54,7 +54,7 @@ PAGES = (
     "science.md",
     "validation.md",
     "fleets.md",
-    "pending-calls.md",
+    "calls.md",
 )
 T = TypeVar("T")
 _NOT_YET = "Not measured yet."
