@@ -13,7 +13,9 @@ from mkdocs.structure.pages import Page
 
 _HEADINGS = ("h1", "h2", "h3", "h4")
 _BLOCKS = (*_HEADINGS, "p", "li", "td", "th", "pre", "div", "br")
-_sections: list[list[str]] = []  # each with its address, the titles of its page and its own, its text, and what else
+_sections: list[
+    list[str]
+] = []  # each with its address, the titles of its page and its own, its text, and what else
 # Words of the field that a reader may search for, by the page that answers.
 _ALSO = {
     "calls.md": "asynchronous async callback timeout compression downscale cascade",
