@@ -89,7 +89,7 @@ def gained(flown: dict[Flight, Flown], chances: Sequence[float], seeds: Sequence
 
 
 HEAD = (
-    "an answer demands something",
+    "answers with an act",
     "stay, min",
     *(f"{manner} gains" for manner in GOING),
     "turned back, go / learn",

@@ -37,9 +37,9 @@ is done twice, elsewhere or never. The list was made from the promises, the limi
 has no likelihoods and no severities.
 
 **Scope.** Multicopters of ArduCopter and PX4, companion computers with Linux. The programs flew in simulated worlds,
-against [stand-ins](vehicle.md#the-stand-in), and with real autopilots in their own simulations.
-**Nothing has flown in the air.** What else was not tried: [limits](limits.md). Motors, sensors and estimators of the autopilot, a lost or jammed GPS,
-and the places of take-off and landing are the autopilot's and the pilot's, not upwash's.
+against [stand-ins](vehicle.md#the-stand-in), and with real autopilots in their own simulations. **Nothing has flown
+in the air.** What else was not tried: [limits](limits.md). Motors, sensors and estimators of the autopilot, a lost or
+jammed GPS, and the places of take-off and landing are the autopilot's and the pilot's, not upwash's.
 
 | word | meaning |
 |---|---|
