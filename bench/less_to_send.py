@@ -1,4 +1,4 @@
-"""Measures what smaller photos gain and lose: `python -m bench.less_to_send`, as root. See docs/less-to-send.md.
+"""Measures what smaller photos gain and lose: `python -m bench.less_to_send`, as root. See docs/calls.md.
 
 Three tables, for photos of rendered solar parks of 0.4, 2 and 10 MB: bytes and AP50 by setting; real calls of the
 detector over an emulated link; and missions in simulation, with and without, on the same seeds. The missions take

@@ -54,7 +54,7 @@ PAGES = (
     "science.md",
     "validation.md",
     "fleets.md",
-    "pending-calls.md",
+    "calls.md",
 )
 T = TypeVar("T")
 _NOT_YET = "Not measured yet."
@@ -225,9 +225,11 @@ def _validation() -> str:
 
 def _sharing(result: Result) -> str:
     shared = _figures(result, list[Shared])
-    layouts = dict.fromkeys(each.layout for each in shared)
-    tables = (f"**{layout}**\n\n{_table(SHARED, shared_rows(shared, layout))}" for layout in layouts)
-    return "\n\n".join((f"`{result.command}` {_measured(result)}.", *tables))
+    rows = []
+    for layout in dict.fromkeys(each.layout for each in shared):
+        *_, largest = shared_rows(shared, layout)
+        rows.append((layout, *largest))
+    return f"`{result.command}` {_measured(result)}:\n\n{_table(('the largest fleets', *SHARED), iter(rows))}"
 
 
 def _stay_or_go(result: Result) -> str:

@@ -3,7 +3,7 @@
 A drone that stays, a drone that always goes, and a drone that learns fly each mission with the same seed. An answer
 demands 5 s at its waypoint with some probability. The gain is of the mission's time, in pairs of the same seed.
 The result is kept in bench/results/stay_or_go.json, and `python -m bench.promises` brings it into
-docs/pending-calls.md.
+docs/calls.md.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def gained(flown: dict[Flight, Flown], chances: Sequence[float], seeds: Sequence
 
 
 HEAD = (
-    "an answer demands something",
+    "answers with an act",
     "stay, min",
     *(f"{manner} gains" for manner in GOING),
     "turned back, go / learn",

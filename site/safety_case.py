@@ -37,9 +37,9 @@ is done twice, elsewhere or never. The list was made from the promises, the limi
 has no likelihoods and no severities.
 
 **Scope.** Multicopters of ArduCopter and PX4, companion computers with Linux. The programs flew in simulated worlds,
-against [stand-ins](stand-in.md), and with real autopilots in their own simulations. **Nothing has flown in the air.**
-What else was not tried: [limits](limits.md). Motors, sensors and estimators of the autopilot, a lost or jammed GPS,
-and the places of take-off and landing are the autopilot's and the pilot's, not upwash's.
+against [stand-ins](vehicle.md#the-stand-in), and with real autopilots in their own simulations. **Nothing has flown
+in the air.** What else was not tried: [limits](limits.md). Motors, sensors and estimators of the autopilot, a lost or
+jammed GPS, and the places of take-off and landing are the autopilot's and the pilot's, not upwash's.
 
 | word | meaning |
 |---|---|
@@ -54,10 +54,10 @@ _REAL = """\
 ## Real autopilots
 
 In their own simulations, with their own logs of what they received:
-[ArduCopter 4.7.0-dev](driver.md#flights-with-a-real-arducopter), [PX4 1.16.1](driver.md#flights-with-a-real-px4),
-[the dead man](driver.md#flights-with-the-dead-man), [rows](rows.md#with-an-autopilot). People make these flights by
+[ArduCopter 4.7.0-dev](vehicle.md#flights-with-a-real-arducopter), [PX4 1.16.1](vehicle.md#flights-with-a-real-px4),
+[the dead man](vehicle.md#flights-with-the-dead-man), [rows](rows.md#with-an-autopilot). People make these flights by
 hand; tests do not repeat them. What they showed is in the stand-ins. Tests hold the stand-ins to
-[recordings](stand-in.md#what-was-tested-against-what) of both autopilots.
+[recordings](vehicle.md#what-was-tested) of both autopilots.
 """
 _CONCERNS_THE_END = (
     "autopilot",

@@ -20,7 +20,7 @@
   document.querySelector(".md-header__inner").append(form);
 
   window.searchWords = (words) => {
-    sections = words.map(([address, page, title, text]) => ({ address, page, title, text }));
+    sections = words.map(([address, page, title, text, also]) => ({ address, page, title, text, also }));
     show();
   };
 
@@ -82,15 +82,17 @@
   }
 
   // How well the section fits: nothing where a word is missing.
-  function points({ title, page, text }, words) {
+  function points({ title, page, text, also }, words) {
     let sum = 0;
     for (const { whole, seen } of words) {
       const share = (where) => (where.search(whole) >= 0 ? 1 : where.search(seen) >= 0 ? BEGUN : 0);
       const inTitle = share(title) * OWN * (1 + 1 / title.split(" ").length); // more of a short one
       const inPage = share(page) * OF_PAGE;
+      const inAlso = share(also) * OWN; // other names of the page
       const inText = share(text) * Math.min(IN_TEXT, text.match(seen)?.length ?? 0);
-      if (inTitle + inPage + inText === 0) return 0;
-      sum += inTitle + inPage + inText;
+      const worth = inTitle + inPage + inAlso + inText;
+      if (worth === 0) return 0;
+      sum += worth;
     }
     return sum;
   }

@@ -1,4 +1,4 @@
-"""Measures calls over links as operators have them: `python -m bench.links`, as root. See docs/links.md.
+"""Measures calls over links as operators have them: `python -m bench.links`, as root. See docs/networks.md.
 
 Each link has a daemon and a drone of its own, which know nothing of the link.
 """

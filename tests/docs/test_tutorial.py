@@ -111,18 +111,10 @@ def environment() -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def one_service(tmp_path_factory: pytest.TempPathFactory) -> Learner:
-    """A learner at the end of the first page of the tutorial."""
+def learner(tmp_path_factory: pytest.TempPathFactory) -> Learner:
+    """A learner at the end of the first lesson."""
     learner = Learner(tmp_path_factory.mktemp("tutorial"))
     learner.follow("tutorial-service.md")
-    return learner
-
-
-@pytest.fixture(scope="module")
-def two_services(one_service: Learner) -> Learner:
-    """A learner at the end of the second page, in a copy of what the first page made."""
-    learner = Learner(copytree(one_service.folder, one_service.folder.with_name("two-services")))
-    learner.follow("tutorial-two-services.md")
     return learner
 
 
@@ -133,18 +125,15 @@ def test_the_first_page_simulates_and_reports(tmp_path: Path) -> None:
     assert (learner.folder / "report.html").stat().st_size > 10_000
 
 
-def test_a_service_of_ones_own_is_simulated_checked_and_tested(one_service: Learner) -> None:
-    assert "2 passed" in one_service.printed
-
-
-def test_two_services_are_simulated_and_checked(two_services: Learner) -> None:
-    assert "Calls of sharpness.score" in two_services.printed
+def test_services_of_ones_own_are_simulated_checked_and_tested(learner: Learner) -> None:
+    assert "2 passed" in learner.printed
+    assert "Calls of sharpness.score" in learner.printed
 
 
 @pytest.mark.long
-def test_it_flies_on_the_desk(two_services: Learner, tmp_path: Path) -> None:
+def test_it_flies_on_the_desk(learner: Learner, tmp_path: Path) -> None:
     """At ports of its own, with a vehicle that can be armed at once."""
-    folder = copytree(two_services.folder, tmp_path / "flown")
+    folder = copytree(learner.folder, tmp_path / "flown")
     shown = list(blocks("tutorial-service.md"))
     serve, vehicle, fly = (block.text for block in shown if TERMINAL.fullmatch(block.title))
     daemon_port, vehicle_port = free_port(), free_port()

@@ -48,20 +48,19 @@ def run(folder: Path, commands: str) -> str:
     return said
 
 
-def copied(desk: Path, column: int) -> Path:
-    """A folder with the files of one column of the page's list."""
+def copied(desk: Path, to: str) -> Path:
+    """A folder with the files that the page has the reader copy there."""
     page = (ROOT / "docs" / PAGE).read_text()
-    (table,) = re.findall(r"^\| to the drone .*?\n\n", page, re.MULTILINE | re.DOTALL)
-    title, _, *files = [row.strip("|").split("|")[column].strip(" `") for row in table.split("\n") if row]
-    folder = desk.with_name(title.rpartition(" ")[2])
-    for name in filter(None, files):
+    (files,) = re.findall(rf"^\| the {to} \| (.*) \|$", page, re.MULTILINE)
+    folder = desk.with_name(to)
+    for name in re.findall(r"`(.*?)`", files):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(desk / name, folder / name)
     return folder
 
 
 def test_a_plan_a_network_and_a_camera_end_as_a_document(desk: Path) -> None:
-    drone, server = copied(desk, 0), copied(desk, 1)
+    drone, server = copied(desk, "drone"), copied(desk, "server")
     commands = [block.text for block in blocks(PAGE) if block.title == "drone"]
     with (
         running("serve", "--config", "server.toml", folder=server) as daemon,

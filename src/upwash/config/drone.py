@@ -127,7 +127,7 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     waypoints_m: PlacesInMetres | None = None
     """The waypoints as pairs of metres east and north of home."""
     plan: values.PlanPath | None = None
-    """The waypoints and the geofence of a [plan](plans.md): QGroundControl's `.plan`, or `QGC WPL 110`."""
+    """The waypoints and the geofence of a [plan](missions.md#plans): QGroundControl's `.plan`, or `QGC WPL 110`."""
     photos: PhotosConfig | None = None
     """The rows of the grid, the legs 0, 2, 4 ... of `waypoints_m`, or those of the plan where it triggers the camera,
     are flown without stopping for photos."""
@@ -144,7 +144,7 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The mission ends early if the way home would leave fewer seconds of flight: [the
     reserve](flight-ends.md#the-reserve)."""
     finish_by_s: values.Positive | None = None
-    """The time by which the mission must end, in seconds from arming: [lighter calls](lighter.md)."""
+    """The time by which the mission must end, in seconds from arming: [lighter calls](calls.md#lighter-calls)."""
     lighter: values.KeysByKey = {}
     """The lighter profile key of calls while the mission would end after `finish_by_s`."""
 
@@ -306,17 +306,17 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Whether calls that a server answers late are computed on the drone too; `true`, `false` or a table; default:
     `true` with `look-ahead` and your own policies."""
     stay_or_go: Literal["stay", "go", "learn"] = "stay"
-    """Whether the drone flies on before it has an answer: [answers that come later](pending-calls.md)."""
+    """Whether the drone flies on before it has an answer: [answers that come later](calls.md)."""
     demand_map: DemandPath | None = None
     """A file, kept between flights, with the places of demands, for `stay_or_go`."""
     act_within_s: values.NotNegative | None = None
-    """The longest time in seconds from an answer to [its later act](pending-calls.md#when-the-drone-acts), as far as
+    """The longest time in seconds from an answer to [its later act](calls.md#when-the-drone-acts), as far as
     the drone can tell. 0: at once. Without the key the drone acts where the way gets least longer."""
     detour_s: values.NotNegative = 120.0
-    """The longest stop, with the way there, for answers of [a service that only servers run](only-servers.md); for
-    others the longest way to a range where a resting drone has the answers sooner ([rows](rows.md)); 0: none."""
+    """The longest stop, with the way there, for answers of [a service that only servers run](calls.md#only-servers);
+    for others the longest way to a range where a resting drone has the answers sooner ([rows](rows.md)); 0: none."""
     most_loss: values.Fraction = 0.0
-    """The largest `loss` of a part [before sending](less-to-send.md) that may be used; 0: all is sent whole."""
+    """The largest `loss` of a part [before sending](calls.md#less-to-send) that may be used; 0: all is sent whole."""
 
     def __post_init__(self) -> None:
         if self.settings and not is_own(self.name):
@@ -370,7 +370,7 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class TwoAnswersConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The drone computes a first answer at once, and a server a better one: [two answers](two-answers.md)."""
+    """The drone computes a first answer at once, and a server a better one: [two answers](calls.md#two-answers)."""
 
     first: values.Text
     """The profile key of the call that the drone computes at once; a server computes the call as asked for."""
@@ -409,7 +409,7 @@ class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The largest reply of a server: a larger one is not received, and the drone computes the call."""
     local_call_s: values.SecondsOfEachKey
     """A call on the drone, in seconds: one number, or one for each profile key or method; `upwash profile`
-    measures it. Left out of [a service that only servers run](only-servers.md)."""
+    measures it. Left out of [a service that only servers run](calls.md#only-servers)."""
     waiting_bytes: values.Bytes = 268_435_456
     """If only servers run it: the most that requests of waiting calls keep in memory, in bytes; beyond it the oldest
     ends without an answer."""
@@ -420,13 +420,13 @@ class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     local_joining_slowdown: values.SharesByKey = {}
     """Simulation: the share by which calls on the drone take longer while a network is joined."""
     deadline: Deadline | None = None
-    """Its calls are answered in time with a probability, with a second server's help: [deadlines](deadlines.md)."""
+    """Its calls are answered in time with a probability, also by a second server: [deadlines](calls.md#deadlines)."""
     two_answers: TwoAnswersConfig | None = None
-    """Its calls have a first answer of the drone, and a better one of a server: [two answers](two-answers.md)."""
+    """Its calls have a first answer of the drone, a better one of a server: [two answers](calls.md#two-answers)."""
     settings: values.Settings | None = None
     """Arguments of its class's constructor."""
     before_sending: BeforeSendingConfig | None = None
-    """Its part that makes requests smaller before they are sent: [less to send](less-to-send.md)."""
+    """Its part that makes requests smaller before they are sent: [less to send](calls.md#less-to-send)."""
 
 
 class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -444,10 +444,10 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """The server's place in degrees, instead of `east_m` and `north_m`."""
     range_m: values.Range
     """The server's radio range, in metres; or `"measured"`: [servers without a
-    range](links.md#servers-without-a-range)."""
+    range](networks.md#servers-without-a-range)."""
     network: values.Text
     """Its NetworkManager profile; default: the server's name. Servers of one network have the same:
-    [deadlines](deadlines.md)."""
+    [deadlines](calls.md#deadlines)."""
     address: values.Text | None = None
     """The daemon's address, `host:port` or `unix:path`; or `mdns`: it is [found in its
     network](networks.md#addresses). Needed to fly."""
@@ -462,7 +462,7 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     remote_call_s: values.SecondsByService = {}
     """A call there from request to reply, in seconds: one number, by service, by profile key or both."""
     times_csv: values.FilePath | None = None
-    """Measured times of calls there, which [deadlines](deadlines.md) need: `operation,seconds`."""
+    """Measured times of calls there, which [deadlines](calls.md#deadlines) need: `operation,seconds`."""
     truth: TruthConfig = TruthConfig()
     """Simulation: how the server truly behaves."""
 

@@ -35,7 +35,7 @@ Probability = Annotated[float, Meta(gt=0, lt=1, description="a number above 0 an
 
 
 class Deadline(Struct, frozen=True, forbid_unknown_fields=True, rename={"within_s": "s", "probability": "p"}):
-    """By when a call is answered, and how surely: [deadlines](deadlines.md)."""
+    """By when a call is answered, and how surely: [deadlines](calls.md#deadlines)."""
 
     within_s: Positive
     """The time from the call to its answer, in seconds."""
