@@ -17,7 +17,9 @@ from typing import Any
 import msgspec
 import pytest
 from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.core import Metric
 from prometheus_client.parser import text_string_to_metric_families
+from prometheus_client.registry import Collector
 from tests.events import event as made
 from tests.server.test_edge_server import COLD_START_S, Runtime
 
@@ -397,6 +399,9 @@ def asked(request: bytes, hosts: Collection[str] = ()) -> bytes:
         (b"\x16\x03\x01\r\n\r\n", 400),
         (b"GET /metrics HTTP/1.1\r\nHost: \xff\xfe\r\n\r\n", 421),
         (b"GET /metrics HTTP/1.1\r\n" + b"A: b\r\n" * 10_000, 400),
+        (b"GET /metrics HTTP/1.1\r\nHost: ADDRESS\r\n" + b"A: b\r\n" * 10_000 + b"\r\n", 400),
+        (b"GET /metrics HTTP/1.0\r\n\r\n", 400),
+        (b"GET /metrics HTTP/1.1\r\nHost: ADDRESS\r\nAccept: \xff\r\n\r\n", 200),
     ],
 )
 def test_only_who_means_this_machine_is_answered(request_: bytes, status: int) -> None:
@@ -409,14 +414,61 @@ def test_a_prometheus_by_another_name_learns_how_the_name_is_added(caplog: pytes
         assert re.search(r'Host is "host\.docker\.internal:9100".*`metrics_hosts`.*: add the name', said)
 
 
+def test_head_has_the_length_and_no_body_and_the_connection_closes() -> None:
+    head, _, body = asked(b"HEAD /metrics HTTP/1.1\r\nHost: ADDRESS\r\n\r\n").lower().partition(b"\r\n\r\n")
+    assert (b"content-length: 0" in head, body) == (True, b"")  # nothing is registered
+    assert b"connection: close" in head
+    assert b"x-content-type-options: nosniff" in head
+
+
+def test_only_the_first_of_many_refusals_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+    async def story() -> list[int]:
+        async with exposed(CollectorRegistry(), "127.0.0.1:0") as address:
+            return [await asyncio.to_thread(status, address, "/", Host="evil.example") for _ in range(3)]
+
+    assert asyncio.run(story()) == [421, 421, 421]
+    assert caplog.text.count("refused a request") == 1
+
+
+class Raising(Collector):
+    """Fails when it is asked the first time."""
+
+    times = 0
+
+    def collect(self) -> Iterator[Metric]:
+        self.times += 1
+        if self.times == 1:
+            raise ValueError("no state")
+        yield from ()
+
+
+def test_a_collector_that_raises_is_logged_and_the_next_scrape_is_answered(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    registry = CollectorRegistry()
+    registry.register(Raising())
+
+    async def story() -> list[int]:
+        async with exposed(registry, "127.0.0.1:0") as address:
+            return [await asyncio.to_thread(status, address, "/metrics") for _ in range(2)]
+
+    assert asyncio.run(story()) == [500, 200]
+    assert caplog.text.count("ValueError: no state") == 1
+
+
+def test_a_prometheus_that_reads_openmetrics_gets_it() -> None:
+    accept = b"Accept: application/openmetrics-text;version=1.0.0\r\n"
+    assert asked(b"GET / HTTP/1.1\r\nHost: ADDRESS\r\n" + accept + b"\r\n").endswith(b"# EOF\n")
+
+
 def test_a_prometheus_by_a_name_that_was_added_is_answered() -> None:
     request = b"GET /metrics HTTP/1.1\r\nHost: host.docker.internal:9100\r\n\r\n"
     assert asked(request, hosts=["host.docker.internal"]).startswith(b"HTTP/1.1 200 ")
 
 
-def status(address: str, path: str) -> int:
+def status(address: str, path: str, **headers: str) -> int:
     connection = http.client.HTTPConnection(address, timeout=10.0)
-    connection.request("GET", path)
+    connection.request("GET", path, headers=headers)
     return connection.getresponse().status
 
 

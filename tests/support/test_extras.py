@@ -42,7 +42,7 @@ MODULES = {
     "figures": {"matplotlib"},
     "lxd": {"packaging", "pylxd"},
     "mcap": {"foxglove"},
-    "metrics": {"prometheus_client"},
+    "metrics": {"prometheus_client", "uvicorn"},
     "network": {"dbus_fast"},
     "parquet": {"pyarrow"},
     "terrain": {"rasterio"},

@@ -4,9 +4,7 @@ A drone's metrics (`drone`) are counted from the events of its log as they are w
 A daemon (`daemon`) counts its requests and what happens to its instances. Its state is read on its own event loop at
 each scrape.
 
-`exposition` answers scrapes in a thread. It is no ASGI application on uvicorn because of its bounds: uvicorn has no
-time limit for a request to arrive or a reply to be read. At its limit of connections it refuses the newest, not the
-oldest. It would also be a new requirement of every drone with metrics.
+`exposition` answers scrapes in a thread, so that a busy program answers too.
 """
 
 CALL_S = (0.05, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 60.0)

@@ -1,19 +1,15 @@
-"""Offers metrics to Prometheus over HTTP, and answers probes.
-
-One thread answers on an event loop of its own: slow clients delay no other. Beyond
-64 connections the oldest is closed.
-"""
+"""Offers metrics to Prometheus over HTTP, and answers probes, from a thread with an event loop of its own."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import logging
-import socket
-from collections.abc import AsyncIterator, Callable, Collection, Mapping
-from email.parser import BytesParser
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Mapping
 from http import HTTPStatus
 from types import MappingProxyType
+from typing import Any, NamedTuple
 
 from prometheus_client import CollectorRegistry
 from prometheus_client.exposition import choose_encoder
@@ -23,13 +19,12 @@ from upwash.core.admission.limits import Allowance
 from upwash.errors import UsageError
 from upwash.support.addresses import listening_at, names_this_machine
 from upwash.support.background import only_logged, thread
+from upwash.support.http import Server
 from upwash.support.text import printable
 
 _PATHS = ("/metrics", "/")
-_LARGEST_REQUEST_BYTES = 2**14
-_REQUEST_S = 5.0  # for a request to be whole
-_READING_S = 10.0  # for its answer to be read
-_CONNECTIONS = 64
+_HEADERS = {"Connection": "close", "X-Content-Type-Options": "nosniff"}
+_GOODBYE_S = 1
 
 _LONGEST_NAME = 255
 _WARNINGS_PER_S = 1 / 60
@@ -69,124 +64,67 @@ async def exposed(
         ) from error
     host = listen.rpartition(":")[0]
     address = f"{host}:{listener.getsockname()[1]}"
-    server = _Server(registry, questions, listener, (host, *hosts))
-    serving = thread(server.run, name="metrics", failed=only_logged)
+    application = _Application(registry, questions, (host, *hosts))
+    server = Server(application, headers=_HEADERS, goodbye_s=_GOODBYE_S)
+
+    def serve() -> None:
+        with listener:
+            asyncio.run(server.serve(sockets=[listener]))
+
+    serving = thread(serve, name="metrics", failed=only_logged)
     serving.start()
     _log.info("metrics at http://%s/metrics", address)
     try:
         yield address
     finally:
-        server.stop()
+        server.should_exit = True
         await asyncio.to_thread(serving.join)
 
 
-class _Server:
-    def __init__(
-        self,
-        registry: CollectorRegistry,
-        questions: Questions,
-        listener: socket.socket,
-        hosts: Collection[str],
-    ) -> None:
+class _Answer(NamedTuple):
+    status: HTTPStatus
+    body: bytes
+    content_type: str = "text/plain; charset=utf-8"
+
+
+def _plain(status: HTTPStatus, why: str = "") -> _Answer:
+    return _Answer(status, f"{why or status.phrase}\n".encode())
+
+
+class _Application:
+    """Answers by ASGI."""
+
+    def __init__(self, registry: CollectorRegistry, questions: Questions, hosts: Collection[str]) -> None:
         self._registry = registry
         self._questions = questions
-        self._listener = listener
         self._hosts = hosts
         self._warnings = Allowance(_WARNINGS_PER_S, at_once=1)
-        self._loop = asyncio.new_event_loop()
-        self._stopped = asyncio.Event()
-        self._connections: dict[asyncio.Task[None], asyncio.StreamWriter] = {}  # oldest first
 
-    def run(self) -> None:
-        """Serves until it is stopped; to be the whole of a thread."""
-        with contextlib.closing(self._loop), self._listener:
-            self._loop.run_until_complete(self._serve())
+    async def __call__(
+        self, scope: Mapping[str, Any], _: object, send: Callable[[Mapping[str, Any]], Awaitable[None]]
+    ) -> None:
+        status, body, content_type = self._answer(scope)
+        headers = [(b"content-type", content_type.encode()), (b"content-length", b"%d" % len(body))]
+        await send({"type": "http.response.start", "status": status, "headers": headers})
+        await send({"type": "http.response.body", "body": body})
 
-    def stop(self) -> None:
-        """Ends it, with every connection; from any thread."""
-        with contextlib.suppress(RuntimeError):  # its loop was closed by a failure
-            self._loop.call_soon_threadsafe(self._stopped.set)
-
-    async def _serve(self) -> None:
-        server = await asyncio.start_server(self._admit, sock=self._listener, limit=_LARGEST_REQUEST_BYTES)
-        async with server:
-            await self._stopped.wait()
-            server.close()
-            for writer in self._connections.values():
-                writer.transport.abort()
-            await asyncio.gather(*self._connections, return_exceptions=True)
-
-    async def _admit(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task = asyncio.current_task()
-        assert task is not None  # noqa: S101 - it runs in one
-        if len(self._connections) >= _CONNECTIONS:
-            next(iter(self._connections.values())).transport.abort()
-        self._connections[task] = writer
-        try:
-            await self._converse(reader, writer)
-        except (OSError, TimeoutError, asyncio.IncompleteReadError):
-            pass  # it has gone, or is too slow
-        finally:
-            del self._connections[task]
-            writer.transport.abort()
-
-    async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        async with asyncio.timeout(_REQUEST_S):
-            try:
-                request = await reader.readuntil(b"\r\n\r\n")
-            except asyncio.LimitOverrunError:
-                request = b""
-        writer.write(self._answer(request, reached_at=writer.get_extra_info("sockname")[0]))
-        writer.write_eof()
-        async with asyncio.timeout(_READING_S):
-            await writer.drain()
-            while await reader.read(_LARGEST_REQUEST_BYTES):  # until it has hung up, so that it has read all
-                pass
-
-    def _answer(self, request: bytes, *, reached_at: str) -> bytes:
-        first, _, rest = request.partition(b"\r\n")
-        match first.decode("latin-1").split(" "):
-            case [method, target, "HTTP/1.0" | "HTTP/1.1"]:
-                headers = BytesParser().parsebytes(rest, headersonly=True)
-            case _:
-                return _response(HTTPStatus.BAD_REQUEST)
-        hosts = headers.get_all("Host", [])
-        if len(hosts) != 1:
-            return _response(HTTPStatus.BAD_REQUEST)
-        host = printable(str(hosts[0]), _LONGEST_NAME)
-        if not names_this_machine(host, known_as=self._hosts, reached_at=reached_at):
+    def _answer(self, scope: Mapping[str, Any]) -> _Answer:
+        headers = {name: value.decode("latin-1") for name, value in scope["headers"]}
+        if b"host" not in headers:  # as HTTP/1.0 allows
+            return _plain(HTTPStatus.BAD_REQUEST)
+        host = printable(headers[b"host"], _LONGEST_NAME)
+        if not names_this_machine(host, known_as=self._hosts, reached_at=scope["server"][0]):
             why = _OTHER_HOST.format(host=host)
-            if self._warnings.take(1, now_s=self._loop.time()):
+            if self._warnings.take(1, now_s=time.monotonic()):
                 _log.warning("refused a request: %s", why)
-            return _response(HTTPStatus.MISDIRECTED_REQUEST, f"{why}\n".encode())
-        if method not in ("GET", "HEAD"):
-            return _response(HTTPStatus.METHOD_NOT_ALLOWED)
-        path, with_body = target.partition("?")[0], method == "GET"
+            return _plain(HTTPStatus.MISDIRECTED_REQUEST, why)
+        if scope["method"] not in ("GET", "HEAD"):
+            return _plain(HTTPStatus.METHOD_NOT_ALLOWED)
+        path = scope["path"]
         if path in self._questions:
             is_so = self._questions[path]()
-            return _response(HTTPStatus.OK if is_so else HTTPStatus.SERVICE_UNAVAILABLE, with_body=with_body)
+            return _plain(HTTPStatus.OK if is_so else HTTPStatus.SERVICE_UNAVAILABLE)
         if path not in _PATHS:
-            return _response(HTTPStatus.NOT_FOUND)
-        encode, content_type = choose_encoder(str(headers.get("Accept", "")))
-        try:
-            body = encode(self._registry)
-        except Exception:  # noqa: BLE001 - whatever a collector raises is not the end of this
-            _log.exception("the metrics cannot be told")
-            return _response(HTTPStatus.INTERNAL_SERVER_ERROR)
-        return _response(HTTPStatus.OK, body, content_type=content_type, with_body=with_body)
-
-
-def _response(
-    status: HTTPStatus,
-    body: bytes | None = None,
-    *,
-    content_type: str = "text/plain; charset=utf-8",
-    with_body: bool = True,
-) -> bytes:
-    if body is None:
-        body = f"{status.phrase}\n".encode()
-    head = (
-        f"HTTP/1.1 {status.value} {status.phrase}\r\nContent-Type: {content_type}\r\n"
-        f"Content-Length: {len(body)}\r\nX-Content-Type-Options: nosniff\r\nConnection: close\r\n\r\n"
-    )
-    return head.encode() + (body if with_body else b"")
+            return _plain(HTTPStatus.NOT_FOUND)
+        encode, content_type = choose_encoder(headers.get(b"accept", ""))
+        return _Answer(HTTPStatus.OK, encode(self._registry), content_type)

@@ -5,7 +5,7 @@
     text, sentences, lines       text made fit for logs, terminals and shells
     background                   tasks and threads whose failure is never lost
     loading                      imports by name, and of optional packages
-    addresses                    sockets that listen, and requests that mean this machine
+    addresses, http              sockets that listen, requests that mean this machine; servers with bounds
     camera_source, exif          cameras' sources without passwords; the place in a photo
     jpeg, png                    a photo's segments or chunks
     confidence, heat             means with margins; the model of a computer that gets hot

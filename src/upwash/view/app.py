@@ -8,12 +8,12 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from starlette.applications import Starlette
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import Headers
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response, StreamingResponse
 from starlette.routing import Route
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from upwash.report.crops import crop_of
 from upwash.report.finding_files import FORMATS, findings_file
@@ -37,15 +37,20 @@ _HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
 }
+
+
+def headers_of_answers(*, images: Sequence[str]) -> dict[str, str]:
+    """What a browser may do with any answer; `images` are further sources of images, in a policy's words."""
+    return {**_HEADERS, "Content-Security-Policy": " ".join((_POLICY, *images))}
 
 
 def application(feed: Feed, photos: PhotoShelf, beneath: BaseMap | None = None) -> Starlette:
     """Serves the page of the feed; nothing but reviews of findings can be written, by the page itself.
 
-    `beneath` is the map: its tiles, or the other machine that browsers may load them from.
+    `beneath` is the map.
     """
-    images = beneath.tiles.sources if beneath else ()
     rendering = asyncio.Semaphore(1)
     packing = asyncio.Semaphore(1)
     crop_for = functools.lru_cache(_KEPT_CROPS)(lambda finding: crop_of(finding, photos))
@@ -55,9 +60,7 @@ def application(feed: Feed, photos: PhotoShelf, beneath: BaseMap | None = None) 
 
     async def events(request: Request) -> Response:
         after = request.headers.get("last-event-id", "")
-        return StreamingResponse(
-            feed.messages(after), media_type="text/event-stream", headers={"Cache-Control": "no-store"}
-        )
+        return StreamingResponse(feed.messages(after), media_type="text/event-stream")
 
     async def picture(
         request: Request, of: Callable[[News], Sequence[Any]], make: Callable[[Any], bytes | None]
@@ -71,7 +74,7 @@ def application(feed: Feed, photos: PhotoShelf, beneath: BaseMap | None = None) 
             jpeg = await asyncio.to_thread(make, pictured[number])
         if jpeg is None:
             return Response("this program cannot find or make the picture", status_code=404)
-        return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
+        return Response(jpeg, media_type="image/jpeg")
 
     async def photo(request: Request) -> Response:
         return await picture(request, lambda news: news.shots, photos.find)
@@ -86,7 +89,7 @@ def application(feed: Feed, photos: PhotoShelf, beneath: BaseMap | None = None) 
             found = await asyncio.to_thread(beneath.find, z, x, y)
         if found is None or (kind := kind_of(found)) is None:
             return Response(status_code=204)  # beyond the map's border there is nothing, which is no error
-        return Response(found, media_type=kind, headers={"Cache-Control": "max-age=86400"})
+        return Response(found, media_type=kind)
 
     async def findings(request: Request) -> Response:
         name = request.path_params["format"]
@@ -94,10 +97,7 @@ def application(feed: Feed, photos: PhotoShelf, beneath: BaseMap | None = None) 
             return Response("no such format", status_code=404)
         async with packing:
             content = await asyncio.to_thread(findings_file, name, feed.flights, photos)
-        saved = {
-            "Content-Disposition": f'attachment; filename="findings.{name}"',
-            "Cache-Control": "no-store",
-        }
+        saved = {"Content-Disposition": f'attachment; filename="findings.{name}"'}
         return Response(content, media_type=FORMATS[name], headers=saved)
 
     desk = [Route("/review", Desk(feed, feed.reviewing).take, methods=["POST"])] if feed.reviewing else []
@@ -111,10 +111,7 @@ def application(feed: Feed, photos: PhotoShelf, beneath: BaseMap | None = None) 
             Route("/findings.{format}", findings),
             Route("/tiles/{z:int}/{x:int}/{y:int}", tile),
         ],
-        middleware=[
-            Middleware(_Guarded, policy=" ".join((_POLICY, *images))),
-            Middleware(_OwnHost),
-        ],
+        middleware=[Middleware(_OwnHost)],
     )
 
 
@@ -147,21 +144,3 @@ def _is_own(headers: Headers, host: str) -> bool:
         return False
     follows_link = headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
     return follows_link or set(headers.getlist("sec-fetch-site")) <= {"same-origin", "none"}
-
-
-class _Guarded:
-    """Adds to each answer what a browser is not to do with it."""
-
-    def __init__(self, app: ASGIApp, *, policy: str) -> None:
-        self._app = app
-        self._headers = {**_HEADERS, "Content-Security-Policy": policy}
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        async def guarded(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                headers.update(self._headers)
-                headers.setdefault("Cache-Control", "no-cache")
-            await send(message)
-
-        await self._app(scope, receive, guarded)

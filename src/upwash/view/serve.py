@@ -2,62 +2,24 @@
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
-import signal
 import socket
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-
-import uvicorn
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from upwash.errors import UsageError
 from upwash.eventlog.results import RunResult
 from upwash.real.host.signals import stopping_politely
 from upwash.report.photos import PhotoShelf
+from upwash.support.addresses import listening_at
 from upwash.support.background import beside
-from upwash.view.app import application
+from upwash.support.http import Server
+from upwash.view.app import application, headers_of_answers
 from upwash.view.desk import new_reviewing
 from upwash.view.feed import Feed
 from upwash.view.recording import reading
 from upwash.view.tiles import BaseMap
 
-_CONNECTIONS = 64
 _GOODBYE_S = 2
-_REQUEST_S = 5.0
-
-
-class _Impatient(H11Protocol):
-    """Closes a connection that asks nothing, and the oldest one of more than 64; a page's browser connects again.
-
-    A limit that turned new connections away would let any program on this machine lock the pilot's browser out.
-    """
-
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Gives it some time from now on."""
-        super().connection_made(transport)
-        self._since_s = self.loop.time()
-        self.loop.call_later(_REQUEST_S, self._hang_up)
-        opened = [
-            each
-            for each in self.connections
-            if isinstance(each, _Impatient) and not each.transport.is_closing()
-        ]
-        if len(opened) > _CONNECTIONS:
-            min(opened, key=lambda each: each._since_s).transport.abort()
-
-    def _hang_up(self) -> None:
-        if self.cycle is None:
-            self.transport.close()
-
-
-class _Server(uvicorn.Server):
-    """Leaves signals to the program."""
-
-    @contextlib.contextmanager
-    def capture_signals(self) -> Generator[None, None, None]:
-        yield
 
 
 async def serve_view(
@@ -77,23 +39,12 @@ async def serve_view(
     shelf = PhotoShelf(photos)
     with reading(logs, shelf.keeps) as recordings, _listening(port) as listener:
         feed = Feed(recordings, beneath.tiles if beneath else None, flown, reviewing=new_reviewing())
-        server = _Server(
-            uvicorn.Config(
-                application(feed, shelf, beneath),
-                http=_Impatient,
-                ws="none",
-                lifespan="off",
-                log_level="warning",
-                access_log=False,
-                proxy_headers=False,  # any program can send them
-                server_header=False,
-                timeout_graceful_shutdown=_GOODBYE_S,
-            )
-        )
+        headers = headers_of_answers(images=beneath.tiles.sources if beneath else ())
+        server = Server(application(feed, shelf, beneath), headers=headers, goodbye_s=_GOODBYE_S)
 
         async def follow() -> None:
             await feed.follow()
-            server.handle_exit(signal.SIGTERM, None)
+            server.should_exit = True
 
         with stopping_politely(lambda _: feed.close()):
             ready(f"http://127.0.0.1:{listener.getsockname()[1]}/")
@@ -101,15 +52,10 @@ async def serve_view(
                 await server.serve(sockets=[listener])
 
 
-@contextlib.contextmanager
-def _listening(port: int) -> Generator[socket.socket, None, None]:
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listener:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            listener.bind(("127.0.0.1", port))
-        except OSError as error:
-            raise UsageError(
-                f"cannot serve on port {port}: {error.strerror}; give another, or 0 for any that is free"
-            ) from error
-        listener.listen()
-        yield listener
+def _listening(port: int) -> socket.socket:
+    try:
+        return listening_at(f"127.0.0.1:{port}")
+    except OSError as error:
+        raise UsageError(
+            f"cannot serve on port {port}: {error.strerror}; give another, or 0 for any that is free"
+        ) from error
