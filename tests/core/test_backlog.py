@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from upwash.core.geo import Circle, Position
-from upwash.core.planning.answering import ServerBelief
-from upwash.core.planning.backlog import Backlog, Stay, WaitPlace, soonest
+from upwash.core.planning.backlog import Backlog, ServerBelief, Stay, WaitPlace, soonest
 from upwash.core.planning.legs import Pace
 
 HERE, HOME = Position(100.0, 0.0, 20.0), Position(0.0, 0.0)
@@ -16,7 +15,7 @@ def backlog(
     photos: int = 20, *, range_m: float = 50.0, check_s: float = 5.0, after: Position | None = HOME
 ) -> Backlog:
     """At 5 m/s and 10 s a photo on the drone, 1 s on a server 100 m beside the drone, 55 m from its inside."""
-    server = ServerBelief(Circle(Position(100.0, 100.0), range_m), 1.0, check_s, check_s)
+    server = ServerBelief(Circle(Position(100.0, 100.0), range_m), 1.0, check_s)
     return Backlog(
         photos=photos,
         local_s=10.0,

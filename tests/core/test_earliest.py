@@ -8,8 +8,9 @@ import random
 import pytest
 
 from upwash.core.geo import Measured, Position
-from upwash.core.planning.answering import Answering, ServerBelief
+from upwash.core.planning.backlog import Backlog, ServerBelief
 from upwash.core.planning.earliest import first_taken
+from upwash.core.planning.legs import Pace
 
 NEVER = math.inf
 
@@ -42,31 +43,33 @@ def test_of_two_places_that_answer_at_one_time_one_has_the_call() -> None:
     assert first_taken([(NEVER, NEVER)], other_in_s=1.0, in_ties=True) is None
 
 
-def answered_s(local_s: float, remote_s: float | None, photos: list[float], *, newest: bool = False) -> float:
-    """When the last photo is answered, of those taken at these times; the server is there all the time."""
-    servers = {} if remote_s is None else {"s1": ServerBelief(Measured(), remote_s, 0.0, 0.0)}
-    answering = Answering(local_s, servers, gain_switch=0.25, newest=newest)
-    answering.rests(Position(0.0, 0.0))
-    for number, at_s in enumerate(photos):
-        answering.take(number, at_s)
-    for _ in photos:
-        assert answering.next_answer(NEVER) is not None
-    return answering.now_s
+def answered_s(local_s: float, remote_s: float | None, photos: int) -> float:
+    """When the last photo is answered; the server is there all the time."""
+    servers = {} if remote_s is None else {"s1": ServerBelief(Measured(), remote_s, 0.0)}
+    backlog = Backlog(
+        photos=photos,
+        local_s=local_s,
+        servers=servers,
+        gain_switch=0.25,
+        ground_speed_m_s=5.0,
+        pace=Pace(),
+        after=None,
+    )
+    here = Position(0.0, 0.0)
+    return backlog.wait_at(here, here=here).answered_s
 
 
-@pytest.mark.parametrize("newest", [False, True])
 @pytest.mark.parametrize("seed", range(60))
-def test_a_faster_server_ends_the_line_no_later(seed: int, newest: bool) -> None:
+def test_a_faster_server_ends_the_line_no_later(seed: int) -> None:
     """But for the last call: one place may have it when the other would have been free a moment later.
 
     What is left then is less than a call of the slower server.
     """
     chance = random.Random(seed)
-    local_s, every_s = 10 ** chance.uniform(-0.7, 1.5), 10 ** chance.uniform(-0.5, 1.0)
-    photos = [number * every_s for number in range(chance.randint(1, 60))]
+    local_s, photos = 10 ** chance.uniform(-0.7, 1.5), chance.randint(1, 60)
     last_s, slower_s = answered_s(local_s, None, photos), local_s
     for share in sorted((chance.uniform(0.02, 1.0) for _ in range(8)), reverse=True):
-        end_s = answered_s(local_s, share * local_s, photos, newest=newest)
+        end_s = answered_s(local_s, share * local_s, photos)
         assert end_s <= last_s + slower_s + 1e-6
         assert end_s <= answered_s(local_s, None, photos) + 1e-6, "served it is no slower than alone"
         last_s, slower_s = min(last_s, end_s), share * local_s

@@ -19,15 +19,13 @@ from tests.drone.test_stay_or_go import going
 from tests.surveys import END, Item, at, begin, written
 
 from upwash import Drone, FoundObject
-from upwash.config import DroneConfig, EventConfig, ObjectConfig, read_drone_config
+from upwash.config import DroneConfig, ObjectConfig, read_drone_config
 from upwash.core.geo import Position, ground_distance_m
 from upwash.drone.resumption import waypoints_done
-from upwash.drone.speed import row_missions
 from upwash.errors import ConfigError
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.run import Run, simulate
-from upwash.missions.bundled import load_specs
 from upwash.ports import Camera
 from upwash.report.findings import Finder
 from upwash.services import Detector
@@ -248,20 +246,6 @@ def test_a_mission_of_ones_own_says_which_objects_it_acts_on() -> None:
     assert found.label == "stone" and found.place is not None
     assert found.position.altitude_m == pytest.approx(20.0)
     assert found.over(7.0).altitude_m == pytest.approx(7.0)
-
-
-# --- what is known before take-off ----------------------------------------------------------------------------
-
-
-def test_a_second_look_counts_in_the_forecast() -> None:
-    photos = {"photos": {"every_m": 20.0}, "waypoints_m": ROWS}
-    config = scenario(second_look={"altitude_m": 8.0}, **photos)
-    config = msgspec.structs.replace(config, event=EventConfig(every=4))
-    (mission,) = row_missions(config, load_specs(config.services))
-    assert len(mission.demanding) == 3
-    assert mission.action_s == pytest.approx(4 * math.sqrt(12.0) + 1.0)  # 12 m down and up, and the photo
-    run = simulate(config)
-    assert sum(event.object is not None for event in of(run.events, schema.PhotoTaken)) == 3
 
 
 def test_a_second_look_from_no_lower_down_is_refused() -> None:

@@ -8,19 +8,15 @@ from typing import Any
 from unittest.mock import patch
 
 import pytest
-from msgspec.structs import replace
 from tests.drone.test_pending import in_the_air, of
 from tests.drone.test_resume import fly, scenario
 from tests.drone.test_rows import PLAN, ROWS, rows
 from tests.drone.test_stay_or_go import going
 
 from upwash import Drone, Waypoint
-from upwash.config import EventConfig
 from upwash.drone.pending import Pending
-from upwash.drone.speed import row_missions
 from upwash.errors import UsageError
 from upwash.eventlog import schema
-from upwash.missions.bundled import load_specs
 from upwash.rpc.service import Method
 from upwash.services import Detection, Detector
 
@@ -178,11 +174,3 @@ def test_a_survey_on_rows_that_tells_takes_as_long_as_one_that_finds_nothing() -
 def test_the_survey_at_stops_acts_where_it_is() -> None:
     part = fly(scenario(), shows=[PLAN[2]])
     assert [event.waypoint for event in of(part.events, schema.Acted)] == [2]
-
-
-@pytest.mark.parametrize(("action_s", "demanding"), [(0.0, 0), (5.0, 6)])
-def test_the_forecast_of_a_survey_that_tells_has_no_demands(action_s: float, demanding: int) -> None:
-    config = scenario(waypoints_m=ROWS, photos={"every_m": 20.0}, action_s=action_s)
-    config = replace(config, event=EventConfig(every=2))
-    (mission,) = row_missions(config, load_specs(config.services))
-    assert len(mission.demanding) == demanding

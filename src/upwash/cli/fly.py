@@ -9,11 +9,14 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import io
 import sys
 from collections.abc import Iterator, Sequence
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
 
 from upwash.cli.arguments import (
     CALLS,
@@ -42,6 +45,7 @@ from upwash.real.host.journal import Unwritten, Watcher, read_events
 from upwash.report.exports import write_result
 from upwash.report.record import record_of
 from upwash.support.loading import extra, module_command
+from upwash.support.progress import shown
 from upwash.support.standard_streams import forgiving_streams
 from upwash.support.text import counted
 
@@ -140,6 +144,7 @@ def fly_with_progress(
     the flight while it lasts; 0 is any port. With `calls` the result has a row for each call. `takes_over` is as for
     `fly`. Raises NotKept where the mission was flown, and a part of its log or of its output could not be written.
     """
+    config, speed_why = _with_speed(config, program)
     unwritten, has_begun = Unwritten(), False
 
     def watch(event: Event) -> None:
@@ -159,16 +164,17 @@ def fly_with_progress(
             log.parent.mkdir(parents=True, exist_ok=True)
             log.touch()  # the page shows a flight that has yet to begin
         try:
-            with shown_live([log], live, photos=config.camera.folder), _shown(config, show) as shown:
+            with shown_live([log], live, photos=config.camera.folder), _shown(config, show) as followers:
                 asyncio.run(
                     fly(
                         config,
                         program=program,
                         log=log,
                         resumes=resumes,
-                        watchers=(watch, *shown),
+                        watchers=(watch, *followers),
                         unwritten=unwritten,
                         takes_over=takes_over,
+                        speed_why=speed_why,
                     )
                 )
         except BaseException as error:
@@ -180,6 +186,22 @@ def fly_with_progress(
         problems = what_is_not_kept()
     if problems:
         raise NotKept(f"the mission was flown to its end, but {'; '.join(problems)}")
+
+
+def _with_speed(config: DroneConfig, program: str | None) -> tuple[DroneConfig, str]:
+    """The configuration with its ground speed, and why; a speed that is chosen is flown in simulation here.
+
+    What the mission prints meanwhile is not shown, as it has yet to be flown.
+    """
+    if config.mission.speed == "given":
+        return config, ""
+    from upwash.lab.run import simulate
+    from upwash.lab.speed import with_speed
+
+    if program is not None:
+        config = replace(config, mission=replace(config.mission, program=program))
+    with shown("fly"), contextlib.redirect_stdout(io.StringIO()):
+        return with_speed(config, simulate)
 
 
 @contextlib.contextmanager

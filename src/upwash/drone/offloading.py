@@ -25,8 +25,7 @@ from upwash.core.call.steps import Asked, CallEvent, Instruction
 from upwash.core.geo import Circle
 from upwash.core.operation import ON_DRONE, Operation
 from upwash.core.planning.acts import LateAct
-from upwash.core.planning.answering import ServerBelief
-from upwash.core.planning.backlog import Stay
+from upwash.core.planning.backlog import ServerBelief, Stay
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.selection.deadlines import Deadlines
 from upwash.core.selection.events import NoMoreCalls, SelectionEvent

@@ -36,7 +36,6 @@ from upwash.core.planning.demand_map import DemandMap
 from upwash.core.policies.policy import Policy
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.networks import NetworkCell, PositionNetwork
-from upwash.drone.speed import with_speed
 from upwash.errors import MissionFailed, UpwashError, UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.kept import KeptEvents
@@ -49,7 +48,8 @@ from upwash.lab.observer import (
     drone_observer,
     observe_ranges,
 )
-from upwash.missions.bundled import load_services, load_specs
+from upwash.lab.speed import with_speed
+from upwash.missions.bundled import load_services
 from upwash.missions.program import is_bundled, load_mission
 from upwash.ports import Camera, Dialer, Network
 from upwash.sim.autopilot import ModelAutopilot
@@ -195,7 +195,7 @@ class _Drone:
     def __init__(self, config: DroneConfig, presence: Presence, policy: Policy | None) -> None:
         replace = msgspec.structs.replace
         servers = tuple(replace(server, address=daemon_address(server.name)) for server in config.servers)
-        config, self.speed_why = with_speed(config, load_specs(config.services))
+        config, self.speed_why = with_speed(config, simulate)
         self.config = replace(config, servers=servers)
         self.presence, self.policy = presence, policy
         self.chance, self.faults = Chance(config.seed), Faults(config.faults)

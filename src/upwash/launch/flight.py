@@ -24,7 +24,6 @@ from upwash.drone.flight import Flight, Ports
 from upwash.drone.home import above_home
 from upwash.drone.objects import FlightObjects
 from upwash.drone.resumption import objects_acted_on, order_begun, ordered_down, waypoints_done
-from upwash.drone.speed import with_speed
 from upwash.errors import AutopilotError, NotWritten
 from upwash.eventlog import schema
 from upwash.launch.cameras import NoCamera, followers_of, needs_camera, opened_album, opened_camera
@@ -38,7 +37,7 @@ from upwash.launch.drone import (
 )
 from upwash.launch.readiness import require_ready
 from upwash.launch.watchdog import watched
-from upwash.missions.bundled import load_services, load_specs
+from upwash.missions.bundled import load_services
 from upwash.missions.program import load_mission
 from upwash.ports import Autopilot, Camera, ComingDown, Journal
 from upwash.real.camera.terrain import Terrain
@@ -77,6 +76,7 @@ async def fly(
     unwritten: Unwritten | None = None,
     clock: SystemClock = SYSTEM_CLOCK,
     takes_over: Sequence[str] = (),
+    speed_why: str = "",
 ) -> None:
     """Flies the configured mission with the configured vehicle, or another program with it.
 
@@ -84,6 +84,7 @@ async def fly(
     With `resumes` the log's mission goes on from its last waypoint. Without a dead man in the autopilot, the command
     `takes_over` runs after this program has stood still and was killed. Ctrl-C or a failure ends the mission with the
     action of autopilot.on_failure; a second Ctrl-C ends the program at once. Raises what ended the mission early.
+    `speed_why` is why its ground speed was chosen, "" if it was given.
     """
     if program is not None:
         config = replace(config, mission=replace(config.mission, program=program))
@@ -91,7 +92,6 @@ async def fly(
     with_many_files()
     mission = load_mission(config.mission.program, mode=config.mission.mode)
     services = load_services(config.services)
-    config, speed_why = with_speed(config, load_specs(config.services))
     earlier = _earlier(log, config) if resumes else _Earlier()
     credentials = drone_credentials(config, valid_now=False)  # before the clock is known to be right
     async with contextlib.AsyncExitStack() as stack:

@@ -8,7 +8,8 @@ from statistics import fmean
 
 from msgspec import Struct
 
-from upwash.config import Document, DroneConfig, demand_map_of, waypoints
+from upwash.config import Document, DroneConfig, waypoints
+from upwash.lab.believed import demand_chances
 from upwash.lab.campaigns.campaign import Fly
 from upwash.preflight.prediction import AS_CONFIGURED, LOCAL_ONLY, Prediction, changed, minutes, predict
 
@@ -64,12 +65,8 @@ def fly_with_acts(
     """Fly the mission with acts, alone and as configured; None where `acts_cost` is false."""
     if not acts_cost(config):
         return None
-    plan = waypoints(config.mission)
-    known = demand_map_of(config, plan)
-    share, source = _ASSUMED, "assumed"
-    if known is not None and any(known.places()):
-        share = fmean(known.chance(waypoint.position, known.before) for waypoint in plan)
-        source = "policy.demand_map"
+    chances = demand_chances(config)
+    share, source = (fmean(chances), "policy.demand_map") if chances else (_ASSUMED, "assumed")
     documents = {LOCAL_ONLY: changed(document, policy=LOCAL_ONLY)}
     if config.policy.name != LOCAL_ONLY:
         documents[AS_CONFIGURED] = changed(document)

@@ -23,11 +23,11 @@ from upwash.config import (
 from upwash.core.planning.order import Order
 from upwash.drone.deadlines import require_deadlines
 from upwash.drone.preparation import make_estimates, order_of, unkept_deadlines
-from upwash.drone.speed import with_speed
 from upwash.errors import UpwashError
 from upwash.eventlog import schema
 from upwash.lab.campaigns.campaign import Fly
 from upwash.lab.run import Run, simulate
+from upwash.lab.speed import with_speed
 from upwash.missions.bundled import load_specs
 from upwash.preflight.acts import ACT_SEEDS, WithActs, acts_cost, demanding_share, fly_with_acts
 from upwash.preflight.answers import ServerAnswers, answer_concerns, foretell
@@ -110,7 +110,7 @@ def check(
     places = [waypoint.position for waypoint in waypoints(plan.config.mission)]
     specs = load_specs(plan.config.services)
     order = order_of(plan.config, specs)
-    config, speed_why = with_speed(plan.config, specs)
+    config, speed_why = with_speed(plan.config, simulate)
     deadlines = require_deadlines(plan.config, specs, make_estimates(plan.config, specs), order.waypoints)
     alone = _flown_alone(plan, order)
     covered = coverage(

@@ -23,13 +23,13 @@ from upwash.config import (
     waypoints,
 )
 from upwash.drone.preparation import order_of
-from upwash.drone.speed import with_speed
 from upwash.eventlog import schema
 from upwash.eventlog.narration import spans
 from upwash.lab import processes
 from upwash.lab.outcome import failure_of
-from upwash.lab.run import Run, simulate_drones
+from upwash.lab.run import Run, simulate, simulate_drones
 from upwash.lab.scenario import with_policy
+from upwash.lab.speed import with_speed
 from upwash.missions.bundled import load_specs
 from upwash.preflight.acts import demanding_share, told_acts
 from upwash.preflight.check import CheckInput, beliefs
@@ -139,7 +139,7 @@ def _fly(flight: _Flight) -> Runs:
 
 def _forecast(config: DroneConfig, flown: Mapping[str, Sequence[Runs]]) -> DroneForecast:
     specs = load_specs(config.services)
-    flown_config, speed_why = with_speed(config, specs)
+    flown_config, speed_why = with_speed(config, simulate)
     cases = (LOCAL_ONLY,) if config.policy.name == LOCAL_ONLY else (LOCAL_ONLY, AS_CONFIGURED)
     runs = {case: [by_drone[config.name] for by_drone in flown[case]] for case in cases}
     alone = runs[LOCAL_ONLY][0]

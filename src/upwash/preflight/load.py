@@ -14,9 +14,12 @@ from msgspec import Struct
 
 from upwash.config import DroneConfig, photo_legs, waypoints
 from upwash.core.geo import Via, Waypoint, distance_m
+from upwash.core.knowledge.estimates import Estimates
+from upwash.core.operation import Operation
 from upwash.core.planning.legs import Leg, Pace
-from upwash.drone.preparation import make_estimates, mission_beliefs
-from upwash.drone.speed import own_answer_s, with_speed
+from upwash.drone.preparation import make_estimates, mission_beliefs, two_answers
+from upwash.lab.run import simulate
+from upwash.lab.speed import with_speed
 from upwash.preflight.worth import Worth
 from upwash.rpc.service import ServiceSpec
 
@@ -40,11 +43,11 @@ def load_of(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Load | Non
     """
     estimates, plan = make_estimates(config, specs), waypoints(config.mission)
     beliefs = mission_beliefs(config, specs, estimates, plan)
-    local_s = own_answer_s(config, specs, estimates, [call.operation for call in beliefs.stop])
+    local_s = _own_answer_s(config, specs, estimates, [call.operation for call in beliefs.stop])
     if not 0 < local_s < math.inf or config.vehicle.track_csv is not None:
         return None
     if config.mission.photos is not None:
-        legs = photo_legs(with_speed(config, specs)[0].mission)
+        legs = photo_legs(with_speed(config, simulate)[0].mission)
         every_s = min((leg.step_m / leg.ground_speed_m_s for leg in legs), default=0.0)
     else:
         every_s = config.camera.photo_s + _mean_way_s(plan, config.mission.ground_speed_m_s, beliefs.pace)
@@ -52,6 +55,20 @@ def load_of(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Load | Non
         return None
     waits = config.mission.photos is None and config.policy.stay_or_go == "stay"
     return Load(local_s=local_s, every_s=every_s, ratio=local_s / every_s, waits=waits)
+
+
+def _own_answer_s(
+    config: DroneConfig,
+    specs: Mapping[str, ServiceSpec],
+    estimates: Estimates,
+    operations: Sequence[Operation],
+) -> float:
+    """How long the drone computes for a photo with those calls (s); infinite if only servers answer them."""
+    first = {operation: two.first for operation, two in two_answers(config, specs, estimates).items()}
+    alone = [operation for operation in operations if not estimates.needs_server(operation)]
+    if operations and not alone:
+        return math.inf
+    return sum(estimates.local_s(first.get(operation, operation)) or 0.0 for operation in alone)
 
 
 def _mean_way_s(plan: Sequence[Waypoint], ground_speed_m_s: float, pace: Pace) -> float:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 from msgspec import Struct
 from msgspec.structs import replace
 
 from upwash.config import FASTEST_M_S, DroneConfig, PhotoLeg, photo_ground, photo_legs
-from upwash.core.planning.row_forecast import RowAnswers, RowForecast
-from upwash.drone.speed import SHARP_PX, chosen_speed, forecast_speed
-from upwash.eventlog.narration import spans
-from upwash.missions.bundled import load_specs
-from upwash.rpc.service import ServiceSpec
+from upwash.drone.speed import SHARP_PX
+from upwash.errors import UpwashError
+from upwash.lab.flown_rows import RowAnswers, RowForecast
+from upwash.lab.run import simulate
+from upwash.lab.speed import chosen_speed, forecast_speed
 from upwash.support.text import counted
 
 _QUICKER = 0.95
@@ -56,12 +55,12 @@ class Answers(Struct, frozen=True, kw_only=True):
     photos_per_s: float
     answers_per_s: float
     keeps_up: bool
-    allows_m_s: float | None
     most_open: int
     at_most: int
     stops: int
     waited_s: float
     mission_time_s: float
+    worlds: int
     rows: tuple[RowAnswers, ...]
 
 
@@ -77,7 +76,8 @@ class SpeedCheck(Struct, frozen=True, kw_only=True):
     blur: Blur
     overlap: Overlap
     interval: Interval
-    answers: Answers
+    answers: Answers | None
+    no_answers: str = ""
 
 
 def check_speed(config: DroneConfig, why: str) -> SpeedCheck | None:
@@ -88,14 +88,17 @@ def check_speed(config: DroneConfig, why: str) -> SpeedCheck | None:
     photos, legs, photo_s = config.mission.photos, photo_legs(config.mission), config.camera.photo_s
     if photos is None or not legs:
         return None
-    specs = load_specs(config.services)
-    forecast = forecast_speed(config, specs)
+    forecast, no_answers = None, ""
+    try:
+        forecast = forecast_speed(config, simulate)
+    except UpwashError as error:
+        no_answers = str(error)
     closest = min(legs, key=lambda leg: leg.step_m / leg.ground_speed_m_s)
     is_free = config.mission.plan is None and photos.every_s is None
     return SpeedCheck(
         ground_speed_m_s=max(leg.ground_speed_m_s for leg in legs),
         why=why,
-        auto="" if why or not is_free else _quicker(config, specs, forecast),
+        auto="" if why or forecast is None or not is_free else _quicker(config, forecast),
         blur=_blur(config, max(legs, key=lambda leg: leg.ground_speed_m_s / leg.altitude_m)),
         overlap=_overlap(config, max(legs, key=lambda leg: leg.step_m / leg.altitude_m)),
         interval=Interval(
@@ -103,14 +106,16 @@ def check_speed(config: DroneConfig, why: str) -> SpeedCheck | None:
             photo_s=photo_s,
             allows_m_s=closest.step_m / photo_s if photo_s > 0 and photos.every_s is None else None,
         ),
-        answers=_answers(forecast, photos.at_most, is_free=is_free),
+        answers=None if forecast is None else _answers(forecast, photos.at_most),
+        no_answers=no_answers,
     )
 
 
-def _quicker(config: DroneConfig, specs: Mapping[str, ServiceSpec], given: RowForecast) -> str:
-    mission = replace(config.mission, ground_speed_m_s=FASTEST_M_S)
-    chosen = chosen_speed(replace(config, mission=mission), specs)
-    return chosen.why if chosen.forecast.mission_s <= _QUICKER * given.mission_s else ""
+def _quicker(config: DroneConfig, given: RowForecast) -> str:
+    mission = replace(config.mission, speed="auto", ground_speed_m_s=FASTEST_M_S)
+    chosen = chosen_speed(replace(config, mission=mission), simulate)
+    found = chosen.forecast
+    return chosen.why if found is not None and found.mission_s <= _QUICKER * given.mission_s else ""
 
 
 def _blur(config: DroneConfig, leg: PhotoLeg) -> Blur:
@@ -133,25 +138,26 @@ def _overlap(config: DroneConfig, leg: PhotoLeg) -> Overlap:
     return Overlap(every_m=leg.step_m, photo_m=ground.along_m, overlap=1 - leg.step_m / ground.along_m)
 
 
-def _answers(forecast: RowForecast, at_most: int, *, is_free: bool) -> Answers:
-    keeps_up_m_s = forecast.keeps_up_m_s
+def _answers(forecast: RowForecast, at_most: int) -> Answers:
     return Answers(
         photos_per_s=forecast.photos_per_s,
         answers_per_s=forecast.answers_per_s,
-        keeps_up=forecast.photos_per_s <= forecast.answers_per_s,
-        allows_m_s=keeps_up_m_s if is_free and math.isfinite(keeps_up_m_s) else None,
+        keeps_up=forecast.keeps_up,
         most_open=forecast.most_open,
         at_most=at_most,
         stops=forecast.stops,
         waited_s=forecast.waited_s,
         mission_time_s=forecast.mission_s,
+        worlds=forecast.worlds,
         rows=forecast.rows,
     )
 
 
 def told_speed(found: SpeedCheck) -> Iterator[str]:
     """The check in sentences."""
-    given = f"{found.ground_speed_m_s:g} m/s, {found.answers.mission_time_s / 60:.1f} min by forecast"
+    given = f"{found.ground_speed_m_s:g} m/s"
+    if found.answers is not None:
+        given += f", {found.answers.mission_time_s / 60:.1f} min by forecast"
     yield f"ground speed: {found.why or given}"
     if found.auto:
         yield f'mission.speed = "auto" would choose {found.auto}'
@@ -160,7 +166,8 @@ def told_speed(found: SpeedCheck) -> Iterator[str]:
     interval = found.interval
     limit = "" if interval.allows_m_s is None else f", which allows {interval.allows_m_s:.3g} m/s"
     yield f"interval: a photo every {interval.between_s:.2g} s; the camera takes {interval.photo_s:g} s{limit}"
-    yield f"answers: {_told_answers(found.answers)}"
+    answers = found.answers
+    yield f"answers: {f'unknown, as {found.no_answers}' if answers is None else _told_answers(answers)}"
 
 
 def _told_blur(blur: Blur) -> str:
@@ -182,24 +189,12 @@ def _told_overlap(overlap: Overlap) -> str:
 
 
 def _told_answers(answers: Answers) -> str:
-    behind = [row.row for row in answers.rows if row.photos > 1 and row.photos_per_s > row.answers_per_s]
-    rates = (
-        f"on the rows {answers.photos_per_s:.2g} photos a second are taken, and {answers.answers_per_s:.2g} could be "
-        "answered"
-    )
-    limit = "" if answers.allows_m_s is None else f" (up to {answers.allows_m_s:.2g} m/s)"
-    if not answers.keeps_up:
-        keeps = f"they do not keep up{limit}"
-    elif behind:
-        keeps = f"they keep up on average{limit}, and not on {_rows(behind)}"
-    else:
-        keeps = f"they keep up on each row{limit}"
+    keeps = "they keep up" if answers.keeps_up else "they do not keep up"
+    fullest = max(answers.rows, key=lambda row: row.most_open)
     stops = "never stops" if not answers.stops else f"stops {counted(answers.stops, 'time')}"
+    flown = "" if answers.worlds == 1 else f" (the mean of {answers.worlds} worlds, and one of them)"
     return (
-        f"{rates}: {keeps}. With at most {answers.most_open} open of {answers.at_most} (at_most) the drone {stops} "
-        f"for them; it waits for answers {answers.waited_s:.0f} s in all"
+        f"on the rows {answers.photos_per_s:.2g} photos a second are taken, and {answers.answers_per_s:.2g} "
+        f"answered: {keeps}. With at most {answers.most_open} open of {answers.at_most} (at_most), on row "
+        f"{fullest.row}, the drone {stops} for them; it waits for answers {answers.waited_s:.0f} s in all{flown}"
     )
-
-
-def _rows(numbers: list[int]) -> str:
-    return f"row {numbers[0]}" if len(numbers) == 1 else f"rows {spans(tuple(numbers))}"

@@ -12,9 +12,8 @@ Laws:
     order           the order of the waypoints
     stay_or_go      whether to fly on before an answer is there
     demand_map      the chance of a demand at a place
-    answering       when photos of rows are answered
-    row_forecast    how long rows take at a ground speed
-    ground_speed    the quickest ground speed of rows
+    acts            where an act costs least
+    backlog         where a resting drone waits best for answers
 
 What is ugly: the search of `schedule` keeps two of many sets of started services, as all of them would be too many.
 """

@@ -1,6 +1,8 @@
 """Where a resting drone waits best for the answers to a line of photos: here, or in a range that it flies to.
 
-The line is answered as in answering.py, also on the way; nothing fails. What counts is when the drone is where it has
+The line is answered on the way too: by the drone, and by the fastest server in range, once its check is over. Each
+takes a photo that it answers before the other gets to it (earliest.py). Calls take their estimates, and nothing
+fails. A photo that a server had when its range ended is in line again. What counts is when the drone is where it has
 to be afterwards, home or on its way.
 
 `soonest` is the built-in rule.
@@ -8,17 +10,26 @@ to be afterwards, home or on its way.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 from msgspec import Struct
 
-from upwash.core.geo import Circle, Position, distance_m
+from upwash.core.geo import Circle, Position, Reach, distance_m, inside
 from upwash.core.planning.answer_stops import AnswerStops, longer_m
-from upwash.core.planning.answering import Answering, ServerBelief
-from upwash.core.planning.legs import Leg, Motion, Pace
+from upwash.core.planning.earliest import first_taken
+from upwash.core.planning.legs import Leg, Pace
 
 LEAST_GAIN_S = 1.0
+
+
+class ServerBelief(Struct, frozen=True):
+    """A server's range, and the seconds of a photo there and of its check."""
+
+    area: Reach
+    call_s: float
+    check_s: float
 
 
 class WaitPlace(Struct, frozen=True):
@@ -80,13 +91,18 @@ class Backlog(Struct, frozen=True, kw_only=True):
 
     def _answered_s(self, here: Position, place: Position) -> float:
         leg = self._leg(here, place)
-        answering = Answering(self.local_s, self.servers, gain_switch=self.gain_switch)
-        answering.flies(Motion(here, place, leg, 0.0))
-        for photo in range(self.photos):
-            answering.take(photo, 0.0)
-        while answering.next_answer(math.inf) is not None:
-            pass
-        return max(leg.duration_s, answering.now_s)
+        gaining = [server for server in self.servers.values() if server.call_s < self.local_s]
+        stays = [(server, _stay(leg, here, place, server.area)) for server in gaining]
+        stays.sort(
+            key=lambda each: each[1][1], reverse=True
+        )  # of servers alike, the one in range for longest is used
+        line = _Line(self.photos, self.local_s, self.gain_switch * self.local_s)
+        while line.has_photos:
+            line.use([server for server, (from_s, to_s) in stays if from_s <= line.now_s < to_s])
+            line.compute()
+            if not line.go_on(time_s for _, stay in stays for time_s in stay):
+                break  # of photos that only servers answer
+        return max(leg.duration_s, line.now_s)
 
     def onwards_s(self, place: Position) -> float:
         """The seconds from the place to where the drone has to be afterwards."""
@@ -105,3 +121,80 @@ class Backlog(Struct, frozen=True, kw_only=True):
     def _leg(self, start: Position, end: Position) -> Leg:
         length_m = distance_m(start, end.at_altitude(start.altitude_m))
         return self.pace.leg(length_m, self.ground_speed_m_s)
+
+
+class _Line:
+    """Photos in line, what the drone and the server in use compute, and when that is over."""
+
+    def __init__(self, photos: int, local_s: float, switch_s: float) -> None:
+        self.now_s = 0.0
+        self._waiting, self._local_s, self._switch_s = photos, local_s, switch_s
+        self._drone_s = self._remote_s = self._ready_s = math.inf
+        self._server: ServerBelief | None = None
+
+    @property
+    def has_photos(self) -> bool:
+        """Whether a photo has no answer yet."""
+        return self._waiting > 0 or min(self._drone_s, self._remote_s) < math.inf
+
+    def use(self, in_range: Sequence[ServerBelief]) -> None:
+        """Use the fastest of the servers in range."""
+        if self._server is not None and self._server not in in_range:
+            self._server = None
+            self._waiting += self._remote_s < math.inf
+            self._remote_s = math.inf
+        best = min(in_range, key=lambda server: server.call_s, default=None)
+        if best is None or best == self._server:
+            return
+        if self._server is not None:
+            gain_s = self._server.call_s - best.call_s
+            if self._remote_s < math.inf or gain_s <= self._switch_s:
+                return
+        self._server, self._ready_s = best, self.now_s + best.check_s
+
+    def compute(self) -> None:
+        """Start the first photos in line, as far as their places are free."""
+        call_s = math.inf if self._server is None or self._ready_s > self.now_s else self._server.call_s
+        if self._remote_s == math.inf and self._takes(call_s, self._local_s, self._drone_s):
+            self._remote_s = self.now_s + call_s
+        if self._drone_s == math.inf:
+            if self._takes(self._local_s, call_s, self._remote_s, in_ties=True):
+                self._drone_s = self.now_s + self._local_s
+        elif self._remote_s == math.inf and not self._waiting:
+            self._drone_s = min(self._drone_s, self.now_s + call_s)  # it is sent there too
+
+    def _takes(self, own_s: float, other_s: float, other_end_s: float, *, in_ties: bool = False) -> bool:
+        """Whether a free place takes a photo out of the line."""
+        other_in_s = 0.0 if other_end_s == math.inf else other_end_s - self.now_s
+        line = itertools.repeat((own_s, other_s), self._waiting)
+        takes = first_taken(line, other_in_s=other_in_s, in_ties=in_ties) is not None
+        self._waiting -= takes
+        return takes
+
+    def go_on(self, borders_s: Iterable[float]) -> bool:
+        """Go on to the next answer, check or border of a range; False where none comes."""
+        checks_s = [] if self._server is None else [self._ready_s]
+        later_s = (time_s for time_s in (*checks_s, *borders_s) if time_s > self.now_s)
+        next_s = min(self._drone_s, self._remote_s, *later_s)
+        if next_s == math.inf:
+            return False
+        self.now_s = next_s
+        if self._drone_s <= self.now_s:
+            self._drone_s = math.inf
+        elif self._remote_s <= self.now_s:
+            self._remote_s = math.inf
+        return True
+
+
+def _stay(leg: Leg, start: Position, end: Position, area: Reach) -> tuple[float, float]:
+    """From when to when the leg is in the area, for ever if it ends there; never: from an infinite time on."""
+    if not isinstance(area, Circle):
+        return -math.inf, math.inf
+    shares = inside(area, start, end)
+    if shares is None or shares[1] < 0 or shares[0] > 1:
+        return math.inf, math.inf
+    first, last = shares
+    return (
+        -math.inf if first <= 0 else leg.reached_s(first * leg.length_m),
+        math.inf if last >= 1 else leg.reached_s(last * leg.length_m),
+    )

@@ -14,14 +14,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple, TypeAlias
 
 from msgspec import Struct, structs
 
-from upwash.core.geo import Circle, Position, Reach, distance_m, inside, part_way
+from upwash.core.geo import Circle, Position, Reach, distance_m, inside
 
-Stay: TypeAlias = tuple[float, float]  # in a range, from one time to another
-ALWAYS: Stay = (-math.inf, math.inf)
 _ON_WAY_M = 1e-6
 _LEAST_M_S2, _MOST_M_S2 = 0.05, 50.0  # what is slower or more agile was held up, or has hardly moved
 
@@ -104,54 +101,9 @@ class Section(Struct, frozen=True):
         return self.whole.reached_s(self.from_m + travelled_m) - self.whole.reached_s(self.from_m)
 
 
-class Motion(NamedTuple):
-    """A straight leg that is flown."""
-
-    start: Position
-    end: Position
-    leg: Leg
-    begun_s: float
-
-    def place(self, now_s: float) -> Position:
-        """Where the vehicle is at that time."""
-        length_m = self.leg.length_m
-        share = min(1.0, self.leg.travelled_m(now_s - self.begun_s) / length_m) if length_m else 1.0
-        return part_way(self.start, self.end, share)
-
-    def stop(self, now_s: float) -> tuple[float, Position]:
-        """When and where the vehicle rests if it brakes at that time, or at its end if that is nearer."""
-        leg = self.leg
-        braking_s, way_m = leg.stop(now_s - self.begun_s)
-        if way_m >= leg.length_m - _ON_WAY_M:
-            return self.begun_s + leg.duration_s, self.end
-        return now_s + braking_s + leg.settling_s, part_way(self.start, self.end, way_m / leg.length_m)
-
-    def passes_s(self, spot: Position) -> float | None:
-        """When it passes the spot, or arrives there; None if the spot is not on its way."""
-        if spot == self.end:
-            return self.begun_s + self.leg.duration_s
-        if not passes(self.start, self.end, spot):
-            return None
-        return self.begun_s + self.leg.reached_s(distance_m(self.start, spot))
-
-
 def passes(start: Position, end: Position, spot: Position) -> bool:
     """Whether the straight way passes the spot."""
     return distance_m(start, spot) + distance_m(spot, end) <= distance_m(start, end) + _ON_WAY_M
-
-
-def stay_in(motion: Motion, area: Reach) -> Stay | None:
-    """When the leg is in the area, up to for ever if it ends there; None if it never is."""
-    if not isinstance(area, Circle):
-        return ALWAYS
-    shares = inside(area, motion.start, motion.end)
-    if shares is None or shares[1] < 0 or shares[0] > 1:
-        return None
-    (first, last), length_m = shares, motion.leg.length_m
-    return (
-        -math.inf if first <= 0 else motion.begun_s + motion.leg.reached_s(first * length_m),
-        math.inf if last >= 1 else motion.begun_s + motion.leg.reached_s(last * length_m),
-    )
 
 
 def acceleration_m_s2(length_m: float, ground_speed_m_s: float, duration_s: float) -> float | None:

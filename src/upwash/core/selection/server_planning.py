@@ -16,7 +16,7 @@ from msgspec import structs
 
 from upwash.core.knowledge.servers import FULL_S, SELECTED, Server, State
 from upwash.core.operation import Operation
-from upwash.core.planning.answering import ServerBelief
+from upwash.core.planning.backlog import ServerBelief
 from upwash.core.planning.forecast import Forecast, make_forecast, rest_of_check_s
 from upwash.core.planning.legs import Leg, left_m
 from upwash.core.planning.mission_model import ExpectedCall, MissionModel
@@ -243,8 +243,7 @@ class ServerPlanning(Part):
             known_s = [time_s for time_s in times_s if time_s is not None]
             if server.state is State.BLACKLISTED or not known_s or len(known_s) < len(times_s):
                 continue
-            check_s = self._ready_in_s(server)
-            beliefs[name] = ServerBelief(server.area, fmean(known_s), check_s, check_s)
+            beliefs[name] = ServerBelief(server.area, fmean(known_s), self._ready_in_s(server))
         return beliefs
 
     def _options(self) -> list[Option]:
