@@ -220,7 +220,7 @@ def _deployments(result: Result) -> str:
 
 
 def _validation() -> str:
-    results = kept()
+    results = list(kept())
     if not results:
         return _NOT_YET
     measured = ", ".join(sorted({f"{result.commit} on {result.day}" for result, _ in results}))
