@@ -95,7 +95,7 @@ bench: $(READY)
 	$(BIN)/python -m bench.metrics
 	$(BIN)/python -m bench.weight
 
-# upwash beside others when a server fails, as root: docs/peers.md. The others have an environment of their own.
+# upwash beside others when a server fails, as root: docs/science.md. The others have an environment of their own.
 bench-peers: $(READY) $(PEERS_READY)
 	$(BIN)/python -m bench.peers $(ARGS)
 

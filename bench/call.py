@@ -1,7 +1,7 @@
 """What a call costs: a 430 KB request with a small reply, over loopback and over an emulated 54 Mbit/s link.
 
 `python -m bench.call` takes four ways in turn: raw TCP, bare gRPC with mutual TLS, a remote service call of a
-mission, and a local one. First it compares decoding with msgspec alone. See docs/performance.md.
+mission, and a local one. First it compares decoding with msgspec alone. See docs/science.md.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What the detector costs: `python -m bench.detector`.
 
 From a photo's bytes to its boxes, against the network alone and the JPEG's decoding, for the bundled network and for
-YOLOv3 at full size. YOLOv3 has random weights: its times count, its boxes mean nothing. See docs/performance.md.
+YOLOv3 at full size. YOLOv3 has random weights: its times count, its boxes mean nothing. See docs/science.md.
 """
 
 from __future__ import annotations

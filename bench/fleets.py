@@ -2,7 +2,7 @@
 
 Fleets of several sizes fly the thesis's mission (scenarios/thesis.toml) in light mode over one field. Eight servers
 have a slot for each drone and time for all calls. The result is the time on one core, and how the cost of one drone
-grows with the number of drones. See docs/performance.md.
+grows with the number of drones. See docs/science.md.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 `python -m bench.load` (some minutes) compares each number of drones with the same drones at a bare gRPC server, in
 the same run; `python -m bench.load --soak 600` watches what the daemon holds over ten minutes. See
-docs/performance.md.
+docs/science.md.
 """
 
 from __future__ import annotations

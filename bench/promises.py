@@ -48,11 +48,8 @@ DOCS = Path(__file__).parents[1] / "docs"
 PAGES = (
     "promises.md",
     "hostile-input.md",
-    "performance.md",
-    "peers.md",
     "reproduction.md",
     "science.md",
-    "validation.md",
     "fleets.md",
     "calls.md",
 )
@@ -97,7 +94,7 @@ def _faults(result: Result) -> str:
     figures = _figures(result, Figures)
     delay_s, bound_s = figures.longest_s
     broke = "none broke a promise" if not figures.broken else f"{figures.broken} broke a promise"
-    struck = _table(("fault", "times"), ((what, times) for what, times in figures.strikes.items()))
+    struck = ", ".join(f"{what} {times}" for what, times in figures.strikes.items())
     back = _table(
         ("black-out", "times", "a call at the server again after"),
         (
@@ -109,7 +106,7 @@ def _faults(result: Result) -> str:
         f"`{result.command}` {_measured(result)}: {figures.flights} flights of two drones, {broke}. "
         f"Of {figures.calls:,} calls {figures.remote_calls:,} were answered by servers. The longest took "
         f"{delay_s:.2f} s of at most {bound_s:.2f} s; none left less than {figures.spare_s:.3f} s of its bound."
-        f"\n\n{back}\n\n{struck}"
+        f"\n\n{back}\n\nFaults, by how often they struck: {struck}."
     )
 
 
@@ -129,12 +126,13 @@ def _hostile(result: Result) -> str:
 
 
 def _fuzz(result: Result) -> str:
-    rows = (
-        (figure.harness, f"{figure.seconds:.0f} s", f"{figure.runs:,}", figure.findings)
-        for figure in _figures(result, list[Fuzzed])
+    figures = _figures(result, list[Fuzzed])
+    runs, findings = (sum(getattr(figure, name) for figure in figures) for name in ("runs", "findings"))
+    decoders = ", ".join(figure.harness for figure in figures)
+    return (
+        f"`{result.command}` {_measured(result)}: {runs:,} inputs for {len(figures)} decoders, {findings} "
+        f"findings. Decoders: {decoders}."
     )
-    head = ("decoder", "fuzzed for", "inputs", "findings")
-    return f"`{result.command}` {_measured(result)}:\n\n{_table(head, rows)}"
 
 
 def _load(result: Result) -> str:
@@ -144,14 +142,15 @@ def _load(result: Result) -> str:
 
 def _soak(result: Result) -> str:
     figures = _figures(result, Soak)
-    tenth = max(1, len(figures.held) // 10)
-    shown = [figures.held[0], *figures.held[tenth::tenth]]
-    rows = ((f"{each.at_s:.0f} s", f"{each.memory_mb:.1f}", each.descriptors) for each in shown)
-    table = _table(("after", "memory, MB", "descriptors"), rows)
+    first, *_, last = figures.held
+    held = " and ".join(
+        f"{each.memory_mb:.1f} MB and {each.descriptors} descriptors after {each.at_s:.0f} s"
+        for each in (first, last)
+    )
     return (
         f"`{result.command}` {_measured(result)}: {figures.drones} drones, {figures.calls:,} calls in "
         f"{figures.seconds:.0f} s, {figures.failed} failed, p50 {figures.p50_s * 1e3:.0f} ms, "
-        f"p99 {figures.p99_s * 1e3:.0f} ms. The daemon and its instance together:\n\n{table}"
+        f"p99 {figures.p99_s * 1e3:.0f} ms. The daemon and its instance together held {held}."
     )
 
 
@@ -166,6 +165,7 @@ def _weight(result: Result) -> str:
             f"{line.ratio_to_http:.2f}",
         )
         for line in _figures(result, list[Line])
+        if "before" not in line.what
     )
     head = ("MB, medians", "proportional", "own", "alone", "alone / gRPC client", "alone / HTTP client")
     return f"`{result.command}` {_measured(result)}:\n\n{_table(head, rows)}"
@@ -178,7 +178,8 @@ def _peers(result: Result) -> str:
         f"`{result.command}` {_measured(result)}: {figures.calls} calls, a fault of {figures.fault_s:g} s, "
         f"{figures.at_once} trials at once on {figures.cores} cores, {figures.took_s / 60:.0f} minutes; {versions}."
     )
-    return "\n\n".join((measured, *tables(figures.trials)))
+    seen = list(tables(figures.trials))[::2]  # what was computed, every second one, the command prints
+    return "\n\n".join((measured, *seen))
 
 
 def _times(result: Result) -> str:
@@ -219,8 +220,12 @@ def _deployments(result: Result) -> str:
 
 
 def _validation() -> str:
-    rows = [(*row_of(figures), result.commit, result.day) for result, figures in kept()]
-    return _table((*COLUMNS, "commit", "day"), iter(rows)) if rows else _NOT_YET
+    results = list(kept())
+    if not results:
+        return _NOT_YET
+    measured = ", ".join(sorted({f"{result.commit} on {result.day}" for result, _ in results}))
+    rows = (row_of(figures) for _, figures in results)
+    return f"{_table(COLUMNS, rows)}\n\nMeasured at commits {measured}."
 
 
 def _sharing(result: Result) -> str:

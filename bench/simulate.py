@@ -2,7 +2,7 @@
 
 One alone, many in a campaign, and how it grows with servers and waypoints. The mission is the thesis's in heavy mode
 with offloading (scenarios/thesis.toml). `--against DIR` flies it by another checkout's code too, in turns, and prints
-the ratio. See docs/performance.md.
+the ratio. See docs/science.md.
 """
 
 from __future__ import annotations

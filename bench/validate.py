@@ -6,7 +6,7 @@
 
 The figures of each valid cell are kept in bench/results/validation, with its command. A kept cell is not flown again:
 after an interruption the same command goes on with the next cell. `python -m bench.promises` brings them into
-docs/validation.md.
+docs/reproduction.md.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ _HEAD = """\
 <!-- written by site/api.py from the docstrings: change those, then run `make docs` -->
 
 Missions, services, policies and notebooks import these names of the packages `upwash`, `upwash.services` and
-`upwash.policies`, and [`upwash.environment.UpwashEnv`](training-policies.md). All other modules
+`upwash.policies`, and [`upwash.environment.UpwashEnv`](own-policy.md#training-a-policy). All other modules
 are private and may change at any time. A configuration names the bundled mission `survey` and service `detector`.
 
 A number's name ends in its unit: `_s` for seconds, `_m` for metres. Positions count from the mission's home. Every

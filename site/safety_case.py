@@ -14,8 +14,8 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "safety-case.md"
 _RESULTS = ROOT / "bench" / "results"
 _PLANTED = ROOT / "tests" / "sim" / "planted.json"
-_PROMISE = re.compile(r"^\| (\d+) \| \*\*(.+?)\.\*\* (.+) \| ([A-Z ]+) \|$", re.MULTILINE)
-_CHECKED = re.compile(r"^\| ([\d, ]+) \| (?!\*\*)(.+) \|$", re.MULTILINE)
+_PROMISE = re.compile(r"^\| (\d+) \| \*\*(.+?)\.\*\* .+ \| ([A-Z ]+) \|$", re.MULTILINE)
+_LIMIT = re.compile(r"^\| \| \*(.+?)\*: .+ \| \|$", re.MULTILINE)
 _SCORE = re.compile(r"^\| (\S+) \| \d+ \| (\d+) \| (\d+) \| (\d+) \| (\d*) ?\|$", re.MULTILINE)
 _KINDS = {
     "C": "properties of the deciding core",
@@ -29,17 +29,17 @@ _HEAD = """\
 
 <!-- written by site/safety_case.py from site/safety_case.toml, the promises and kept results -->
 
-**Claim.** A flight with upwash ends badly only if upwash breaks a [promise](#promises-and-their-evidence) or one of
-the [conditions](#when-a-flight-ends-badly) C1, C2, ... holds. We know of no other cause.
+**Claim.** A flight with upwash ends badly only if upwash breaks a [promise](promises.md) or one of the
+[conditions](#when-a-flight-ends-badly) C1, C2, ... holds. We know of no other cause.
 
 *Badly* means a collision, an unchosen landing, a command against the pilot, or an action of the mission that
 is done twice, elsewhere or never. The list was made from the promises, the limits and the questions of one reader. It
 has no likelihoods and no severities.
 
 **Scope.** Multicopters of ArduCopter and PX4, companion computers with Linux. The programs flew in simulated worlds,
-against [stand-ins](vehicle.md#the-stand-in), and with real autopilots in their own simulations. **Nothing has flown
-in the air.** What else was not tried: [limits](limits.md). Motors, sensors and estimators of the autopilot, a lost or
-jammed GPS, and the places of take-off and landing are the autopilot's and the pilot's, not upwash's.
+against [stand-ins](vehicle.md), and with real autopilots in their own simulations. **Nothing has flown in the air.**
+What else was not tried: [limits](promises.md). Motors, sensors and estimators of the autopilot, a lost or jammed GPS,
+and the places of take-off and landing are the autopilot's and the pilot's, not upwash's.
 
 | word | meaning |
 |---|---|
@@ -54,10 +54,9 @@ _REAL = """\
 ## Real autopilots
 
 In their own simulations, with their own logs of what they received:
-[ArduCopter 4.7.0-dev](vehicle.md#flights-with-a-real-arducopter), [PX4 1.16.1](vehicle.md#flights-with-a-real-px4),
-[the dead man](vehicle.md#flights-with-the-dead-man), [rows](rows.md#with-an-autopilot). People make these flights by
-hand; tests do not repeat them. What they showed is in the stand-ins. Tests hold the stand-ins to
-[recordings](vehicle.md#what-was-tested) of both autopilots.
+[ArduCopter 4.7.0-dev, PX4 1.16.1, the dead man](vehicle.md) and [rows](rows.md). People make these flights by hand;
+tests do not repeat them. What they showed is in the stand-ins. Tests hold the stand-ins to recordings of both
+autopilots.
 """
 _CONCERNS_THE_END = (
     "autopilot",
@@ -76,7 +75,7 @@ def page() -> str:
     """The page as it should be."""
     source = tomllib.loads((ROOT / "site" / "safety_case.toml").read_text())
     return "\n".join(
-        (_HEAD, *_hazards(source["hazard"]), *_promises(source["tests"]), _REAL, *_campaigns(), *_gaps())
+        (_HEAD, *_hazards(source["hazard"]), *_promises(source["tests"], source["checked"]), _REAL, *_campaigns(), *_gaps())
     )
 
 
@@ -94,14 +93,13 @@ def _hazards(hazards: list[dict[str, Any]]) -> Iterator[str]:
         yield ""
 
 
-def _promises(tests: Mapping[str, list[str]]) -> Iterator[str]:
+def _promises(tests: Mapping[str, list[str]], checked: Mapping[str, str]) -> Iterator[str]:
     text = (ROOT / "docs" / "promises.md").read_text()
-    notes = {number: note for numbers, note in _CHECKED.findall(text) for number in numbers.split(", ")}
+    notes = {number: note for numbers, note in checked.items() for number in numbers.split(", ")}
     planted = _planted()
     yield "## Promises and their evidence\n"
-    for number, name, said, kinds in _PROMISE.findall(text):
+    for number, name, kinds in sorted(_PROMISE.findall(text), key=lambda promise: int(promise[0])):
         yield f'### <span id="promise-{number}"></span>{number}. {name}\n'
-        yield f"{said}\n"
         yield f"- checked in: {', '.join(_KINDS[kind] for kind in kinds.split())}"
         yield f"- tests beside the worlds: {', '.join(f'`{file}`' for file in tests[number])}"
         if found := planted.get(number):
@@ -180,11 +178,10 @@ def _mutants() -> str:
 
 
 def _gaps() -> Iterator[str]:
-    table = (ROOT / "docs" / "limits.md").read_text().partition("\n## ")[0]
-    named = dict(re.findall(r"^\| (\S.+?) \| (.+) \|$", table, re.MULTILINE))
-    yield "## Not covered\n\nOf [the limits](limits.md), those that concern a flight's end:\n\n| | |\n|---|---|"
-    yield from (f"| {what} | {named[what]} |" for what in _CONCERNS_THE_END)
-    yield ""
+    limits = _LIMIT.findall((ROOT / "docs" / "promises.md").read_text())
+    assert set(_CONCERNS_THE_END) <= set(limits), "the page of promises has no longer each limit that is named here"
+    named = ", ".join(_CONCERNS_THE_END)
+    yield f"## Not covered\n\nOf [the limits](promises.md), those that concern a flight's end: {named}.\n"
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""upwash beside simple alternatives when a server fails: `python -m bench.peers`, see docs/peers.md.
+"""upwash beside simple alternatives when a server fails: `python -m bench.peers`, see docs/science.md.
 
 The alternatives run in an environment of their own (`make bench-peers`): neither the product nor its tests need them.
 `computation`, `telling`, `calls`, `server` and `drone` are used in both environments: Python is enough.

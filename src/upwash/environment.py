@@ -1,4 +1,4 @@
-"""An environment of Gymnasium over simulated missions, to train policies: docs/training-policies.md."""
+"""An environment of Gymnasium over simulated missions, to train policies: docs/own-policy.md#training-a-policy."""
 
 from __future__ import annotations
 

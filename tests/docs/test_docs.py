@@ -15,7 +15,17 @@ from bench.results import FOLDER
 
 from bench import promises
 from upwash.cli.main import command_line
-from upwash.config import FleetDroneConfig, read_daemon_config, read_drone_config
+from upwash.config import (
+    DroneConfig,
+    FleetDroneConfig,
+    MissionConfig,
+    PolicyConfig,
+    ServerConfig,
+    ServiceConfig,
+    TruthConfig,
+    read_daemon_config,
+    read_drone_config,
+)
 from upwash.core.knowledge.servers import TRANSITIONS
 
 KEYS_AND_REST = """
@@ -158,15 +168,17 @@ def test_the_configuration_page_shows_a_file_that_is_understood(tmp_path: Path) 
     file.write_text(block)
     config = read_drone_config(file)
     assert config.name == "d1"
-    written = set(re.findall(r"^#? ?(\w+) = ", block, flags=re.MULTILINE))
-    (service, *_), (server, *_) = config.services, config.servers
-    for table in (config, config.mission, config.policy, service, server, server.truth):
-        known = set(msgspec.structs.asdict(table)) - {"services", "servers", "faults", "drones"}
-        known -= {"waypoints_m", "plan"}
-        known -= {"processing_s", "images", "local_first_extra_s", "latitude_deg", "longitude_deg"}
-        tables = {
-            *("mission", "vehicle", "autopilot", "network", "keys", "camera", "user", "policy", "heat"),
-            *("energy", "event", "noise", "truth", "settings", "before_sending", "ros"),
-        }
-        assert known - tables <= written, f"not on the page: {known - tables - written}"
-    assert set(FleetDroneConfig.__struct_fields__) <= written | {"waypoints_m", "plan"}
+    assert config.camera is not None and config.network.interfaces == ("wlan1",)
+    (service,), (server,) = config.services, config.servers
+    assert (service.name, server.name) == ("detector", "s1")
+
+
+def test_the_reference_has_every_key_of_a_drone() -> None:
+    page = (ROOT / "docs/configuration-reference.md").read_text().partition("## The edge daemon")[0]
+    written = set(re.findall(r"^\| <span id=[^>]*></span>`(\w+)` \|", page, flags=re.MULTILINE))
+    tables = {*re.findall(r"^### `\[+([\w.]+)\]+`", page, flags=re.MULTILINE)}
+    tables |= {name.rpartition(".")[2] for name in tables}
+    kinds = (DroneConfig, FleetDroneConfig, MissionConfig, PolicyConfig, ServiceConfig, ServerConfig, TruthConfig)
+    for kind in kinds:
+        known = set(kind.__struct_encode_fields__)
+        assert known <= written | tables, f"not in the reference: {known - written - tables}"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import re
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -173,7 +172,7 @@ def test_the_thesis_is_flown_on_one_battery_only_with_servers(policy: str) -> No
 
 
 def test_the_page_has_what_is_drawn() -> None:
-    page = (ROOT / "docs" / "energy.md").read_text()
+    page = (ROOT / "docs" / "scenarios.md").read_text()
     found = re.findall(r"^\| ([\w -]+) \|" + r" ([\d.]+) \|" * 6 + "$", page, flags=re.MULTILINE)
     rows = {name: written for name, *written in found}
     for policy in POLICIES:
@@ -190,13 +189,10 @@ def test_the_page_has_what_is_drawn() -> None:
         ]
 
 
-def test_the_page_shows_the_defaults() -> None:
-    (block,) = re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / "energy.md").read_text(), flags=re.DOTALL)
-    shown = tomllib.loads(block)["energy"]
-    assert shown.pop("computer_load_w") == Surroundings().load_w
-    defaults = msgspec.structs.asdict(EnergyConfig(battery_wh=shown["battery_wh"]))
-    assert defaults.pop("computer_load_w") is None
-    assert shown == defaults
+def test_the_reference_says_what_a_call_adds_without_that_key() -> None:
+    page = (ROOT / "docs" / "configuration-reference.md").read_text()
+    assert EnergyConfig(battery_wh=77.0).computer_load_w is None
+    assert f"The power that a call adds, in watts; default: {Surroundings().load_w:g}, or `heat.load_w`." in page
 
 
 def test_an_explanation_has_the_bound_of_those_that_completed_it(

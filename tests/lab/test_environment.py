@@ -165,8 +165,8 @@ def test_errors_and_failures_of_the_mission_are_told(tmp_path: Path) -> None:
 
 def test_the_program_of_the_page_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
-    page = (ROOT / "docs/training-policies.md").read_text()
-    (program,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    page = (ROOT / "docs/own-policy.md").read_text()
+    (program,) = re.findall(r"```python\n(from upwash\.environment .*?)```", page, re.DOTALL)
     found: dict[str, Any] = {}
     exec(program, found)
     assert found["total"] == pytest.approx(-found["info"]["result"].mission_time_s)

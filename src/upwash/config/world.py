@@ -130,7 +130,7 @@ class EventConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 class EnergyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the simulated drone draws from its battery: [the model](energy.md)."""
+    """What the simulated drone draws from its battery: [the model](scenarios.md#energy)."""
 
     battery_wh: values.Positive | None = None
     """The energy of a full battery, in watt-hours; default: endless."""
