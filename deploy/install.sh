@@ -26,7 +26,7 @@ fail() {
 }
 
 [ -n "$root" ] || [ "$(id -u)" -eq 0 ] || fail "this needs root: sudo $0 $name $keys"
-command -v apt-get >/dev/null || fail "no apt-get here: this is for Debian; docs/operators.md has the steps for others"
+command -v apt-get >/dev/null || fail "no apt-get here: this is for Debian; docs/servers.md has the steps for others"
 case $name in [!A-Za-z0-9]* | *[!A-Za-z0-9._-]* | "")
     fail "the name of a server has letters, digits, '.', '_' and '-', first a letter or a digit, not \"$name\"" ;;
 esac

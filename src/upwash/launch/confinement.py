@@ -20,7 +20,7 @@ from upwash.real.instances.sandbox import Sandbox, find_sandbox
 
 _ROOT = (
     "the daemon is root, and so is whatever breaks out of a sandbox that root made: "
-    "run it as a user of its own (docs/operators.md), or say runtime.sandbox_as_root = true"
+    "run it as a user of its own (docs/servers.md), or say runtime.sandbox_as_root = true"
 )
 _NAMES = tuple(limit.name for limit in fields(Limits))
 
