@@ -7,7 +7,7 @@
 #
 # NAME is the server's, as in its certificate, and KEYS the folder of `upwash keys KEYS --server NAME ...`, made before on
 # a computer of your own: of it the server gets authority.pem, NAME.pem, NAME.key and revoked.txt. With detector-gpu the
-# detector computes on an NVIDIA card (docs/graphics-cards.md), with detector on the processor; default: as before.
+# detector computes on an NVIDIA card (docs/small-computers.md), with detector on the processor; default: as before.
 set -eu
 
 name=${1:?usage: install.sh NAME KEYS [detector-gpu]}

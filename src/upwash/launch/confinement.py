@@ -115,7 +115,7 @@ def _refuse_missing(devices: Sequence[str]) -> None:
     if missing := sorted({device for device in devices if not Path(device).exists()}):
         raise UsageError(
             f"devices: {', '.join(missing)} cannot be seen here: load the driver, and under systemd let the "
-            "unit use devices (docs/graphics-cards.md)"
+            "unit use devices (docs/small-computers.md)"
         )
 
 
