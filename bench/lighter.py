@@ -15,7 +15,7 @@ import upwash
 from upwash.services import Detector
 
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "thesis.toml"
-HEAVY_AP50, LIGHT_AP50 = 0.987, 0.941  # docs/detector-model.md
+HEAVY_AP50, LIGHT_AP50 = 0.987, 0.941  # docs/detector.md
 BUDGETS_S = (1450, 1400, 1372, 1336, 1320, 1300)
 CALLS = 121
 

@@ -7,7 +7,7 @@
 #
 # NAME is the server's, as in its certificate, and KEYS the folder of `upwash keys KEYS --server NAME ...`, made before on
 # a computer of your own: of it the server gets authority.pem, NAME.pem, NAME.key and revoked.txt. With detector-gpu the
-# detector computes on an NVIDIA card (docs/graphics-cards.md), with detector on the processor; default: as before.
+# detector computes on an NVIDIA card (docs/small-computers.md), with detector on the processor; default: as before.
 set -eu
 
 name=${1:?usage: install.sh NAME KEYS [detector-gpu]}
@@ -26,7 +26,7 @@ fail() {
 }
 
 [ -n "$root" ] || [ "$(id -u)" -eq 0 ] || fail "this needs root: sudo $0 $name $keys"
-command -v apt-get >/dev/null || fail "no apt-get here: this is for Debian; docs/operators.md has the steps for others"
+command -v apt-get >/dev/null || fail "no apt-get here: this is for Debian; docs/servers.md has the steps for others"
 case $name in [!A-Za-z0-9]* | *[!A-Za-z0-9._-]* | "")
     fail "the name of a server has letters, digits, '.', '_' and '-', first a letter or a digit, not \"$name\"" ;;
 esac

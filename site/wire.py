@@ -1,4 +1,4 @@
-"""Writes the test vectors of docs/other-languages.md from the code: `python site/wire.py`."""
+"""Writes the test vectors of docs/services.md from the code: `python site/wire.py`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from upwash.real.link.direct import frame
 from upwash.rpc.service import ServiceFault, spec_of
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "other-languages.md"
+PAGE = ROOT / "docs" / "services.md"
 BEGIN, END = "<!-- written by site/wire.py -->\n", "<!-- end -->"
 PHOTO = bytes([0, 0, 255, 255])
 

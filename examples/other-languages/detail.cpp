@@ -1,4 +1,4 @@
-// The service of detail.py in C++: docs/other-languages.md says what it reads and writes.
+// The service of detail.py in C++: docs/services.md says what it reads and writes.
 // g++ -std=c++17 -O2 detail.cpp -o detail    (Debian: apt install g++ nlohmann-json3-dev)
 #include <array>
 #include <cmath>

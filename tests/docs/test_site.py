@@ -127,7 +127,7 @@ def test_a_diagram_is_bright_on_dark_ground_in_dark_colours(site: Path, page: Br
 
 
 def test_the_drone_of_the_raspberry_pi_is_understood(tmp_path: Path) -> None:
-    (text,) = blocks("raspberry-pi.md", "toml")
+    (text,) = blocks("small-computers.md", "toml")
     (tmp_path / "drone.toml").write_text(text)
     (tmp_path / "field.plan").write_text((ROOT / "tests/plans/field.plan").read_text())
     config = read_drone_config(tmp_path / "drone.toml")

@@ -255,9 +255,7 @@ async def test_a_program_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 def test_the_test_vectors_are_those_of_the_code() -> None:
     page = runpy.run_path(str(ROOT / "site" / "wire.py"))["page"]()
-    assert (ROOT / "docs" / "other-languages.md").read_text() == page, (
-        "run make docs, or python site/wire.py alone"
-    )
+    assert (ROOT / "docs" / "services.md").read_text() == page, "run make docs, or python site/wire.py alone"
 
 
 @pytest.mark.sandbox

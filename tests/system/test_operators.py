@@ -32,7 +32,7 @@ from upwash.rpc.protocol import AVAILABILITY
 pytestmark = pytest.mark.system
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "operators.md").read_text()
+PAGE = (ROOT / "docs" / "servers.md").read_text()
 UNIT = ROOT / "deploy" / "upwash.service"
 NOT_HERE = (
     *("apt-get", "python3 -m venv", "/opt/upwash/bin/pip", "useradd", "systemctl daemon-reload"),
@@ -307,7 +307,7 @@ def test_a_unit_is_understood_by_systemd(
 def test_the_drones_unit_starts_nothing_again_but_a_flight_that_never_began() -> None:
     said = [line for line in DRONE_UNIT.read_text().splitlines() if line.startswith("Restart")]
     assert said == ["Restart=no", f"RestartForceExitStatus={ExitCode.NOT_HEARD:d}", "RestartSec=5"]
-    assert "\n".join(said) in (ROOT / "docs" / "raspberry-pi.md").read_text()
+    assert "\n".join(said) in (ROOT / "docs" / "small-computers.md").read_text()
 
 
 # --- the script ---------------------------------------------------------------------------------------------

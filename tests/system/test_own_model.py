@@ -1,4 +1,4 @@
-"""The page about one's own model: its lines of configuration and its commands give findings."""
+"""The page of the detector, on one's own model: its lines of configuration and its commands give findings."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.programs import ROOT, stand_in, upwash
 
 pytestmark = pytest.mark.system
 
-PAGE = (ROOT / "docs" / "own-model.md").read_text()
+PAGE = (ROOT / "docs" / "detector.md").read_text()
 SIDE_PX, CELL_PX = 320, 16
 CELLS = SIDE_PX // CELL_PX
 LAMP = (500, 110)  # of 640 x 480 pixels

@@ -531,7 +531,7 @@ def test_a_limit_that_would_not_hold_ends_the_start_with_its_name(tmp_path: Path
 @pytest.mark.parametrize("sandbox", ["auto", "required"])
 def test_root_makes_no_sandbox_unless_it_is_told_to(tmp_path: Path, keys: Path, sandbox: str) -> None:
     said = refused(tmp_path, config(keys, runtime={"sandbox": sandbox, "sandbox_as_root": False}))
-    assert "run it as a user of its own (docs/operators.md), or say runtime.sandbox_as_root = true" in said
+    assert "run it as a user of its own (docs/servers.md), or say runtime.sandbox_as_root = true" in said
 
 
 async def test_without_bubblewrap_it_serves_and_says_so_unless_a_sandbox_is_required(

@@ -51,7 +51,7 @@ class ImageConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     program: values.ImportPath | None = None
     """The service's class, `path/to/file.py:Class` or `package.module:Class`; not needed for a bundled service."""
     command: values.Command = ()
-    """A program in any language that computes its calls, and its arguments: [other languages](other-languages.md)."""
+    """A program and its arguments that compute the calls, in [any language](services.md#other-languages)."""
     settings: values.Settings | None = None
     """What the constructor of its class takes; in a container that of its image counts."""
     image: values.Text | None = None

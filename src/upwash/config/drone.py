@@ -400,7 +400,7 @@ class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     program: values.ImportPath | None = None
     """The service's class, `path/to/file.py:Class` or `package.module:Class`; not needed for a bundled service."""
     command: values.Command = ()
-    """A program in any language that computes its calls, and its arguments: [other languages](other-languages.md)."""
+    """A program and its arguments that compute the calls, in [any language](services.md#other-languages)."""
     request_bytes: values.Bytes = 425_000
     """The mean size of a request, in bytes."""
     reply_bytes: values.Bytes = 500

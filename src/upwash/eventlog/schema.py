@@ -1272,7 +1272,7 @@ class OffloadingFailed(Event, frozen=True, kw_only=True):
 class WaitingForTheTime(_Explained, frozen=True, kw_only=True):
     """A certificate is not valid by this computer's clock, and the vehicle's GPS has no fix yet.
 
-    See [a clock that is wrong](raspberry-pi.md#a-clock-that-is-wrong), for the next two as well.
+    See [a clock that is wrong](small-computers.md#a-clock-that-is-wrong), for the next two as well.
     """
 
 

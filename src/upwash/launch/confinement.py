@@ -20,7 +20,7 @@ from upwash.real.instances.sandbox import Sandbox, find_sandbox
 
 _ROOT = (
     "the daemon is root, and so is whatever breaks out of a sandbox that root made: "
-    "run it as a user of its own (docs/operators.md), or say runtime.sandbox_as_root = true"
+    "run it as a user of its own (docs/servers.md), or say runtime.sandbox_as_root = true"
 )
 _NAMES = tuple(limit.name for limit in fields(Limits))
 
@@ -115,7 +115,7 @@ def _refuse_missing(devices: Sequence[str]) -> None:
     if missing := sorted({device for device in devices if not Path(device).exists()}):
         raise UsageError(
             f"devices: {', '.join(missing)} cannot be seen here: load the driver, and under systemd let the "
-            "unit use devices (docs/graphics-cards.md)"
+            "unit use devices (docs/small-computers.md)"
         )
 
 

@@ -13,7 +13,7 @@ _CONVERT = "or convert it by `python -m tf2onnx.convert"
 _PYTORCH = f"a zip archive, as PyTorch's .pt files are: {_EXPORT}"
 _ENGINE = (
     f"an engine of TensorRT, for one kind of card alone: {_EXPORT}; the detector finds a card by itself "
-    "(docs/graphics-cards.md)"
+    "(docs/small-computers.md)"
 )
 _LITE = f"a model of TensorFlow Lite: {_EXPORT}, {_CONVERT} --tflite FILE --output best.onnx`"
 _TENSORFLOW = f"a model of TensorFlow: {_EXPORT}, {_CONVERT} --saved-model FOLDER --output best.onnx`"

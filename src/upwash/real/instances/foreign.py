@@ -1,6 +1,6 @@
 """A service's program in any language, which answers calls over its standard input and output.
 
-docs/other-languages.md describes its frames.
+docs/services.md describes its frames.
 """
 
 from __future__ import annotations
