@@ -75,7 +75,14 @@ def page() -> str:
     """The page as it should be."""
     source = tomllib.loads((ROOT / "site" / "safety_case.toml").read_text())
     return "\n".join(
-        (_HEAD, *_hazards(source["hazard"]), *_promises(source["tests"], source["checked"]), _REAL, *_campaigns(), *_gaps())
+        (
+            _HEAD,
+            *_hazards(source["hazard"]),
+            *_promises(source["tests"], source["checked"]),
+            _REAL,
+            *_campaigns(),
+            *_gaps(),
+        )
     )
 
 
@@ -179,7 +186,8 @@ def _mutants() -> str:
 
 def _gaps() -> Iterator[str]:
     limits = _LIMIT.findall((ROOT / "docs" / "promises.md").read_text())
-    assert set(_CONCERNS_THE_END) <= set(limits), "the page of promises has no longer each limit that is named here"
+    if missing := set(_CONCERNS_THE_END) - set(limits):
+        raise ValueError(f"docs/promises.md has no limit that is called {', '.join(sorted(missing))}")
     named = ", ".join(_CONCERNS_THE_END)
     yield f"## Not covered\n\nOf [the limits](promises.md), those that concern a flight's end: {named}.\n"
 

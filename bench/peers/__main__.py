@@ -1,4 +1,4 @@
-"""Compares upwash with simple alternatives when a server fails: `python -m bench.peers`, as root. See docs/science.md.
+"""Compares upwash with simple clients when a server fails: `python -m bench.peers`, as root. See docs/science.md.
 
 Each trial has namespaces, a link and programs of its own. A round makes every trial once, so that other work
 of the machine affects all peers alike.

@@ -177,7 +177,15 @@ def test_the_reference_has_every_key_of_a_drone() -> None:
     written = set(re.findall(r"^\| <span id=[^>]*></span>`(\w+)` \|", page, flags=re.MULTILINE))
     tables = {*re.findall(r"^### `\[+([\w.]+)\]+`", page, flags=re.MULTILINE)}
     tables |= {name.rpartition(".")[2] for name in tables}
-    kinds = (DroneConfig, FleetDroneConfig, MissionConfig, PolicyConfig, ServiceConfig, ServerConfig, TruthConfig)
+    kinds = (
+        DroneConfig,
+        FleetDroneConfig,
+        MissionConfig,
+        PolicyConfig,
+        ServiceConfig,
+        ServerConfig,
+        TruthConfig,
+    )
     for kind in kinds:
         known = set(kind.__struct_encode_fields__)
         assert known <= written | tables, f"not in the reference: {known - written - tables}"

@@ -92,12 +92,14 @@ def test_the_search_finds_words_and_no_parts_of_words_in_a_file_too(site: Path, 
         "did": ("did", "didn"),
         "hedg": ("hedg", "hedge", "hedged", "hedges", "hedging"),
         "fences": ("fence", "fences"),
+        "lease": ("lease", "leases"),
         "nowhereatall": (),
     }
     assert found("candidate")
     assert found("did"), "though the word is in no title"
     assert found("hedg")[0] == "Hedging", "a title first, and a word that is not typed to its end"
     assert found("fences")[0] == "Fences"
+    assert found("lease")[0] == "Lease", "a word of the glossary"
     assert found("nowhereatall") == []
     for query, answers in {
         "base map": "flight-page.html",

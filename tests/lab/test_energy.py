@@ -192,7 +192,9 @@ def test_the_page_has_what_is_drawn() -> None:
 def test_the_reference_says_what_a_call_adds_without_that_key() -> None:
     page = (ROOT / "docs" / "configuration-reference.md").read_text()
     assert EnergyConfig(battery_wh=77.0).computer_load_w is None
-    assert f"The power that a call adds, in watts; default: {Surroundings().load_w:g}, or `heat.load_w`." in page
+    assert (
+        f"The power that a call adds, in watts; default: {Surroundings().load_w:g}, or `heat.load_w`." in page
+    )
 
 
 def test_an_explanation_has_the_bound_of_those_that_completed_it(

@@ -1,8 +1,8 @@
 """What a simulated drone draws from its battery: its rotors, its computer and its radios, each a small model.
 
-docs/scenarios.md has the models and their sources. The defaults of the rotors are the example of Zeng, Xu and Zhang: a
-drone of 20 N on a disc of 0.503 m². It takes 79.86 W + 88.63 W in hover, with U = 120 m/s and v = 4.03 m/s; its drag
-is 0.00924 W s³/m³. The extras of flying forward and up at once are added.
+docs/scenarios.md has the models and their sources. The defaults of the rotors are the example of Zeng, Xu and Zhang:
+a drone of 20 N on a disc of 0.503 m². It takes 79.86 W + 88.63 W in hover, with U = 120 m/s and v = 4.03 m/s; its
+drag is 0.00924 W s³/m³. The extras of flying forward and up at once are added.
 
 Assumed: a descent costs what level flight does, as momentum theory does not hold in a slow descent; speeding up and
 braking cost nothing; the battery gives all that it holds at every load. The energy of a call is counted as it begins.
