@@ -86,7 +86,7 @@ def test_a_flight_logs_the_speed_that_it_chose_and_explain_tells_it(
     assert main(["simulate", str(scenario), "--json", "--log", str(log)]) == 0
     logged = [json.loads(line) for line in log.read_text().splitlines()]
     (why,) = [event["why"] for event in logged if event["event"] == "speed_chosen"]
-    assert "the camera allows 20, mission.ground_speed_m_s 10, answers keep up to " in why
+    assert "min by forecast: the camera allows 20, mission.ground_speed_m_s 10" in why
     capsys.readouterr()
     assert main(["explain", str(log), "--waypoint", "0"]) == 0
     assert f"the ground speed was chosen: {why}" in capsys.readouterr().out.splitlines()
@@ -109,7 +109,7 @@ def test_the_highest_speed_blur_and_the_camera_limit_the_choice() -> None:
 
 def test_demands_of_earlier_flights_slow_the_choice(tmp_path: Path) -> None:
     document = WORLDS["a demand at each fourth photo"]
-    policy = {"name": "look-ahead", "demand_map": str(tmp_path / "demands.json")}
+    policy = {**document["policy"], "demand_map": str(tmp_path / "demands.json")}
     for _ in range(4):
         simulate(
             document | {"policy": policy, "mission": document["mission"] | {"ground_speed_m_s": 4.0}},

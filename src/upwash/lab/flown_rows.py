@@ -116,12 +116,16 @@ class _Course:
     stops: int = 0
     waited_s: float = 0.0
     keeps_up: bool = True
+    _reached: set[int] = field(default_factory=set)
     _open: set[int | None] = field(default_factory=set)
     _come: int = 0  # answers since the last photo of the row
 
     def take(self, event: Event) -> None:
         match event:
-            case schema.Arrived(waypoint=int(index)):
+            case schema.Arrived(waypoint=int(index)) if (
+                index not in self._reached
+            ):  # not back there for an act
+                self._reached.add(index)
                 self._reach(row_of(self.plan[index]) or index, event.t)
             case schema.CallStarted(waypoint=waypoint) if self.rows:
                 self._open.add(waypoint)

@@ -34,6 +34,7 @@ from upwash.support.progress import work
 
 _STEP_M_S = 0.1
 _RATIO = 0.75  # of two speeds that are tried at first, or more where many are left
+_HALVINGS = 2
 _CLOSE = 1.05  # two speeds with no further one between them
 _AS_QUICK = 1.002
 _PHOTOS, _LEAST, _MOST = 6000, 4, 12  # photos of all missions that are flown; speeds that are tried
@@ -160,9 +161,8 @@ def choose_speed(
         speed_m_s = top_m_s * ratio
         while speed_m_s >= least_m_s() and not _gets_longer(found) and try_speed(speed_m_s):
             speed_m_s *= ratio
-        before_m_s = None
-        while before_m_s != (before_m_s := _lowest_quick(found)):
-            for speed_m_s in _between(found, before_m_s, least_m_s()):
+        for _ in range(_HALVINGS):
+            for speed_m_s in _between(found, _lowest_quick(found), least_m_s()):
                 try_speed(speed_m_s)
     best_m_s = _lowest_quick(found)
     return ChosenSpeed(best_m_s, _why(best_m_s, limits, found), found[best_m_s])

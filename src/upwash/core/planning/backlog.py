@@ -1,9 +1,9 @@
 """Where a resting drone waits best for the answers to a line of photos: here, or in a range that it flies to.
 
 The line is answered on the way too: by the drone, and by the fastest server in range, once its check is over. Each
-takes a photo that it answers before the other gets to it (earliest.py). Calls take their estimates, and nothing
-fails. A photo that a server had when its range ended is in line again. What counts is when the drone is where it has
-to be afterwards, home or on its way.
+takes a photo that it answers before the other gets to it (earliest.py). Calls take their estimates, and none fails. A
+photo that a server had when its range ended is in line again. What counts is when the drone is where it has to be
+afterwards, home or on its way.
 
 `soonest` is the built-in rule.
 """
@@ -93,9 +93,7 @@ class Backlog(Struct, frozen=True, kw_only=True):
         leg = self._leg(here, place)
         gaining = [server for server in self.servers.values() if server.call_s < self.local_s]
         stays = [(server, _stay(leg, here, place, server.area)) for server in gaining]
-        stays.sort(
-            key=lambda each: each[1][1], reverse=True
-        )  # of servers alike, the one in range for longest is used
+        stays.sort(key=lambda each: each[1][1], reverse=True)  # of servers alike, the one left last is used
         line = _Line(self.photos, self.local_s, self.gain_switch * self.local_s)
         while line.has_photos:
             line.use([server for server, (from_s, to_s) in stays if from_s <= line.now_s < to_s])
