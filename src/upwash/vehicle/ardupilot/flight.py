@@ -370,9 +370,9 @@ class CopterFlight(Multicopter):
 
 
 def _parameters_at_boot(settings: VehicleSettings) -> ParameterTable:
-    """As delivered, but for what the settings say of how it flies."""
+    """The delivered ones, changed by the settings."""
     parameters = ParameterTable("ardupilot", new_names=settings.version >= Version(4, 7))
-    if settings.acceleration_m_s2 is not None:  # it neither hovers above home nor slows down before it lands
+    if settings.acceleration_m_s2 is not None:  # it does not hover above home or land slowly
         parameters.preset("RTL_LOIT_TIME", 0)
         parameters.preset("WPNAV_ACCEL", settings.acceleration_m_s2 * 100)
         parameters.preset("WPNAV_SPEED_UP", settings.climb_m_s * 100)
