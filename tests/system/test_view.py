@@ -200,6 +200,40 @@ def test_the_lanes_tell_of_a_moment_and_a_click_goes_there(page: Browser, one: s
     page.wait_until(lambda: abs(page.moment() - 60 * int(minutes) - int(seconds)) < 1.5)
 
 
+def turn_wheel(page: Browser, selector: str, *, ctrl: bool = False) -> None:
+    """Turns the wheel over the middle of that element, and waits for what the page makes of it."""
+    x, y = page.each(
+        selector, "((box) => [box.x + box.width / 2, box.y + box.height / 2])(each.getBoundingClientRect())"
+    )[0]
+    turned = {"type": "mouseWheel", "x": x, "y": y, "deltaX": 0, "deltaY": 100, "modifiers": 2 if ctrl else 0}
+    page.driver.execute_cdp_cmd("Input.dispatchMouseEvent", turned)
+    page.drawn()
+
+
+def test_the_wheel_scrolls_the_page_over_the_map_and_the_lanes(page: Browser, one: str) -> None:
+    opened(page, one)
+    for figure in (".map", ".lanes"):
+        page.run("arguments[0].scrollIntoView({block: 'center'})", page.find(figure))
+        before_px = page.run("return scrollY")
+        turn_wheel(page, figure)
+        page.wait_until(lambda before_px=before_px: page.run("return scrollY") > before_px)
+        assert page.find(f"{figure} ~ .hint, {figure} > .hint").is_displayed(), "which says how to zoom"
+
+
+def test_the_wheel_zooms_with_ctrl_and_the_map_after_a_click(page: Browser, one: str) -> None:
+    opened(page, one)
+    scale = page.text(".leaflet-control-scale-line")
+    turn_wheel(page, ".map", ctrl=True)
+    page.wait_until(lambda: page.text(".leaflet-control-scale-line") != scale)
+    scale = page.text(".leaflet-control-scale-line")
+    page.click(".map")
+    before_px = page.run("return scrollY")
+    turn_wheel(page, ".map")
+    page.wait_until(lambda: page.text(".leaflet-control-scale-line") != scale)
+    assert page.run("return scrollY") == before_px
+    assert not page.find(".map ~ .hint").is_displayed()
+
+
 def test_the_estimates_and_the_decision_are_told_in_words(
     page: Browser, one: str, logs: tuple[Path, Path]
 ) -> None:

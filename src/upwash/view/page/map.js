@@ -10,6 +10,7 @@ import { FlightLayer } from "./layer.js";
 import { Marks, STILL, paintCross } from "./marks.js";
 import { inBrief } from "./places.js";
 import { Pills } from "./pills.js";
+import { guardWheel } from "./wheel.js";
 
 const PAPER_PX = 660; // the width of what is printed on A4
 const DRONE_PX = 36; // nothing may cover that much
@@ -57,6 +58,7 @@ export class FlightMap {
       const many = logs.length > 1 ? { number: index + 1, chosen: () => chosen(index) } : {};
       return new FlightLayer(this.map, this.ground, places, this.#pills, { log, ...many });
     });
+    guardWheel(this.element, "Turn the wheel with Ctrl to zoom, or click into the map first", { byClick: true });
     this.map.setView([0, 0], this.ground.options.minZoom);
     this.map.on("mousemove", (event) => {
       this.#readOut("pointer", event.latlng);
