@@ -93,6 +93,9 @@ _STATE_TONES: dict[str, Tone] = {
 }
 
 
+_STANDS_AFTER = (schema.Arrived, schema.PhotosWait, schema.SoughtAnswers)
+
+
 def tone_of(state: str) -> Tone:
     """The tone of a server state."""
     return _STATE_TONES.get(state, Tone.ASIDE)
@@ -111,6 +114,7 @@ class Narrator:
 
     def __init__(self) -> None:
         self.doing = "starting the services of the drone"
+        self.stands = False  # at a place, for a photo or a call
         self.where = ""
         self._reached: set[int] = set()
         self._whereabouts = CallPlaces()
@@ -157,6 +161,7 @@ class Narrator:
 
     def _follow(self, event: Event) -> None:
         """Take in what the drone does from the event on."""
+        before = self.doing
         match event:
             case schema.PositionReport(east_m=east_m, north_m=north_m, altitude_m=altitude_m):
                 self.down_s = event.down_s
@@ -187,6 +192,9 @@ class Narrator:
             case schema.SafeEnd(action=action):
                 self.doing = SAFE_ENDS[action]
         self.doing = _DOING.get(type(event), self.doing)
+        if self.doing != before:
+            passes = isinstance(event, schema.Arrived) and event.passing
+            self.stands = isinstance(event, _STANDS_AFTER) and not passes
 
     def _call(self, call: schema.Call) -> Sentence:
         waited = f" after waiting {call.waited_s:.1f} s" if call.wait else ""
