@@ -168,6 +168,35 @@ def test_a_flight_plays_on_its_own_from_the_beginning_to_the_end(
     assert "mission completed" in page.text(".doing")
 
 
+def test_the_bar_tells_the_call_of_a_drone_that_stands_and_none_while_it_flies_on(
+    page: Browser, tmp_path: Path
+) -> None:
+    """One call of a mission that need not wait for its answers: the drone stands at first, and then goes on."""
+    log = tmp_path / "standing.jsonl"
+    decided = {"decision": "remote", "server": "s1", "deadline_s": 3.9, "selected": "s1", "raced": True}
+    log.write_bytes(
+        line("planned", 0.0, waypoints_m=[(0, 0), (20, 0)])
+        + line("mission_started", 0.0, policy="x", waypoints=2)
+        + line("arrived", 1.0, waypoint=0)
+        + line("call_started", 2.0, operation="a.b", waypoint=0)
+        + line("decided", 2.0, operation="a.b", waypoint=0, local_s=6.0, remote_s=1.0, **decided)
+        + line("leg", 6.0, waypoint=1, east_m=20.0)
+        + line("position", 7.0, east_m=5.0)
+        + line("landed", 9.0) + line("mission_completed", 9.0)
+    )  # fmt: skip
+    with view_of(log) as address:
+        page.open(address)
+        page.wait_until(lambda: page.text("#clock").endswith("0:09"))
+        page.seek(5.1)
+        assert (
+            page.text(".says p")
+            == "PROGRAM calling s1, 3.1 of at most 3.9\N{NO-BREAK SPACE}s, also on the drone"
+        )
+        page.seek(6.5)
+        assert page.text(".doing") == "flying to waypoint 1"
+        assert "1 answer open" in page.text(".says")
+
+
 def test_the_buttons_go_from_call_to_call(page: Browser, one: str, logs: tuple[Path, Path]) -> None:
     (record,) = read_records(logs[:1])
     ends = [call.result.at_s + call.result.delay_s for call in record.calls]

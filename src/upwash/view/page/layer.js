@@ -105,6 +105,7 @@ export class FlightLayer {
     }
     this.drone.setLatLng(this.latLng(position.east_m, position.north_m)).addTo(this.map);
     turn(this.drone.getElement(), moment.headingDeg);
+    this.drone.getElement().dataset.tone = moment.last("doing")?.tone ?? "";
     this.focus(this.isFocus);
   }
 
