@@ -8,6 +8,7 @@ import signal
 import subprocess
 import threading
 from collections.abc import Iterator
+from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -239,13 +240,17 @@ def turn_wheel(page: Browser, selector: str, *, ctrl: bool = False) -> None:
     page.drawn()
 
 
+def scrolled_past(page: Browser, before_px: float) -> bool:
+    return bool(page.run("return scrollY > arguments[0]", before_px))
+
+
 def test_the_wheel_scrolls_the_page_over_the_map_and_the_lanes(page: Browser, one: str) -> None:
     opened(page, one)
     for figure in (".map", ".lanes"):
         page.run("arguments[0].scrollIntoView({block: 'center'})", page.find(figure))
         before_px = page.run("return scrollY")
         turn_wheel(page, figure)
-        page.wait_until(lambda before_px=before_px: page.run("return scrollY") > before_px)
+        page.wait_until(partial(scrolled_past, page, before_px))
         assert page.find(f"{figure} ~ .hint, {figure} > .hint").is_displayed(), "which says how to zoom"
 
 

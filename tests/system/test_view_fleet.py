@@ -212,7 +212,7 @@ def test_the_bar_of_a_fleet_has_the_worst_state_whichever_drone_is_in_focus(
             assert (
                 page.text(".doing").replace("\N{NO-BREAK SPACE}", " ") == "1 FAIL-SAFE · 1 PILOT · 1 PROGRAM"
             )
-            assert page.find(".bar").get_attribute("class").split()[1] == "alarm"
+            assert "alarm" in (page.find(".bar").get_attribute("class") or "")
             assert page.text(".aside").startswith(f"drone-{key} · ")
         chips = page.each(".drones tbody .state", "[each.textContent, each.classList[1]]")
         assert chips == [["PROGRAM", "program"], ["PILOT", "person"], ["FAIL-SAFE", "alarm"]]

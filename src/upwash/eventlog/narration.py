@@ -93,7 +93,11 @@ _STATE_TONES: dict[str, Tone] = {
 }
 
 
-_STANDS_AFTER = (schema.Arrived, schema.PhotosWait, schema.SoughtAnswers)
+def _stands_after(event: Event) -> bool:
+    """Whether the drone stays at a place from the event on."""
+    if isinstance(event, schema.Arrived):
+        return not event.passing
+    return isinstance(event, schema.PhotosWait | schema.SoughtAnswers)
 
 
 def tone_of(state: str) -> Tone:
@@ -142,7 +146,10 @@ class Narrator:
         self.began.take(event)
         if type(event) in _WITHOUT_SENTENCE:
             return None
+        before = self.doing
         self._follow(event)
+        if self.doing != before:
+            self.stands = _stands_after(event)
         if isinstance(event, schema.Call):
             return self._call(event)
         if isinstance(event, schema.LeftToPilot) and self.control:  # which was said
@@ -161,7 +168,6 @@ class Narrator:
 
     def _follow(self, event: Event) -> None:
         """Take in what the drone does from the event on."""
-        before = self.doing
         match event:
             case schema.PositionReport(east_m=east_m, north_m=north_m, altitude_m=altitude_m):
                 self.down_s = event.down_s
@@ -192,9 +198,6 @@ class Narrator:
             case schema.SafeEnd(action=action):
                 self.doing = SAFE_ENDS[action]
         self.doing = _DOING.get(type(event), self.doing)
-        if self.doing != before:
-            passes = isinstance(event, schema.Arrived) and event.passing
-            self.stands = isinstance(event, _STANDS_AFTER) and not passes
 
     def _call(self, call: schema.Call) -> Sentence:
         waited = f" after waiting {call.waited_s:.1f} s" if call.wait else ""
