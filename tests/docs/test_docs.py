@@ -55,7 +55,9 @@ def anchors(page: Path) -> set[str]:
         words = re.sub(r"\[([^\]]+)\]\([^)]*\)", r"\1", heading)
         letters = re.sub(r"[^\w\s-]", "", words).strip().lower()
         name = re.sub(r"[-\s]+", "-", letters)
-        found |= {f"{name}_{next(n for n in range(1, 99) if f'{name}_{n}' not in found)}" if name in found else name}
+        found |= {
+            f"{name}_{next(n for n in range(1, 99) if f'{name}_{n}' not in found)}" if name in found else name
+        }
         found.add(re.sub(r"\s", "-", letters))
     return found
 

@@ -200,7 +200,8 @@ def test_the_bar_of_a_fleet_has_the_worst_state_whichever_drone_is_in_focus(
     low = line("vehicle_limits", 1.0, low_percent=90.0, critical_percent=10.0)
     for number, (log, control) in enumerate(zip(logs, taken, strict=True), start=1):
         flown = _not_over(flight(number)).replace(b'"landed"', b'"unknown"')
-        log.write_bytes(b"".join(sorted([*(flown + control).splitlines(keepends=True), low], key=_time)))
+        events = sorted((flown + control + low).splitlines(keepends=True), key=_time)
+        log.write_bytes(b"".join(events))
     with view_of(*logs) as address:
         page.open(address)
         page.wait_until(lambda: len(page.rows(".drones")) == 3 and not page.text("#clock").endswith("0:00"))
