@@ -77,7 +77,7 @@ CLIMB_S, WAY_S, DOWN_S, SINKING_S = 20 / 2 + 2, 400 / 10 + 10, 20 / 2 + 2 + 20.0
         ([(0, 30)] * 9, SINKING_S),
         ([(0, 30), (0, 29)], 4.0 + SINKING_S),
         ([(0, 30), (0, 28)], 18 / 2 + 20.0),
-        ([(0, 30), (0, 4)], 8.0),
+        ([(0, 30), (0, 4)], 0.6 * 8.0),  # no more than three times as fast is believed
         ([(0, 30), (0, -1)], 0.0),
     ],
 )
@@ -101,3 +101,14 @@ def test_a_vehicle_that_sinks_without_having_climbed_is_believed() -> None:
     down = WayDown(PX4, Position(1.0, 0.0, 12.0), HOME)
     assert down.left_s(Position(1.0, 0.0, 12.0), now_s=0.0) > 40.0
     assert down.left_s(Position(1.0, 0.0, 5.0), now_s=6.0) == 10.0
+
+
+@pytest.mark.parametrize("pace", [0.5, 1.0, 2.0])
+def test_the_rest_of_a_descent_takes_as_long_as_the_vehicle_shows(pace: float) -> None:
+    """It sinks steadily on each part, in so many times the expected time."""
+    down = WayDown(PLAIN, Position(0.0, 0.0, 30.0), HOME)
+    fast_s, slow_s = pace * 20 / 2, pace * 10 / 0.5
+    for now_s in range(int(fast_s + slow_s)):
+        fast_m, slow_m = 20 * min(1.0, now_s / fast_s), 10 * max(0.0, now_s - fast_s) / slow_s
+        said_s = down.left_s(Position(0.0, 0.0, 30.0 - fast_m - slow_m), now_s=float(now_s))
+    assert said_s == pytest.approx(1.0, abs=0.2)

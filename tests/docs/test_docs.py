@@ -50,6 +50,37 @@ def test_links_between_pages_lead_somewhere(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_to_headings_lead_to_one(page: Path) -> None:
+    for target, anchor in re.findall(r"\]\(([^)#:]*)#([^)]+)\)", page.read_text()):
+        linked = page.parent / target if target else page
+        if linked.suffix == ".md":
+            assert anchor in anchors(linked), f"{page.name} links to {target}#{anchor}"
+
+
+def anchors(page: Path) -> set[str]:
+    """The names of headings in addresses, as the site and GitHub make them; a second one of a name has "_1"."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+    found = {anchor for pair in re.findall(r'id="([^"]+)"|\{ ?#([\w-]+)', text) for anchor in pair if anchor}
+    for heading in re.findall(r"^#+ (.+)$", text, re.MULTILINE):
+        words = re.sub(r"\[([^\]]+)\]\([^)]*\)", r"\1", heading)
+        letters = re.sub(r"[^\w\s-]", "", words).strip().lower()
+        name = re.sub(r"[-\s]+", "-", letters)
+        found |= {
+            f"{name}_{next(n for n in range(1, 99) if f'{name}_{n}' not in found)}" if name in found else name
+        }
+        found.add(re.sub(r"\s", "-", letters))
+    return found
+
+
+def test_every_page_is_on_all_pages() -> None:
+    docs = ROOT / "docs"
+    pages = {str(page.relative_to(docs)) for page in docs.rglob("*.md")}
+    listed = set(re.findall(r"\(([\w./-]+\.md)", (docs / "pages.md").read_text()))
+    assert len(pages) > 50
+    assert pages - {*listed, "pages.md", "index.md"} == set()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_pages_that_are_named_exist(page: Path) -> None:
     for name in re.findall(r"\bdocs/[\w./-]+\.md", page.read_text()):
         assert (ROOT / name).exists(), f"{page.name} names {name}"

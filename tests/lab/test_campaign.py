@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 import os
+import re
 import signal
 import statistics
 import subprocess
@@ -295,6 +296,30 @@ def test_failures_are_told_with_their_seeds_and_in_the_exit_code(
     said = capsys.readouterr().out
     assert "seed 1: the mission program raised ValueError: too far from home" in said
     assert "seed 2: the mission program raised ValueError: too far from home" in said
+
+
+@pytest.mark.parametrize("with_noise", [True, False])
+def test_an_interval_is_told_of_missions_that_differ_and_why_they_do_not(
+    scenario: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], *, with_noise: bool
+) -> None:
+    if not with_noise:
+        text = scenario.read_text()
+        scenario = tmp_path / "quiet.toml"
+        scenario.write_text(re.sub(r"^\[noise\]\n(?:[^\[\n].*\n)*", "", text, flags=re.MULTILINE))
+    arguments = [
+        "campaign",
+        str(scenario),
+        "--seeds",
+        "2",
+        "--workers",
+        "1",
+        "--out",
+        str(tmp_path / "out.csv"),
+    ]
+    assert main(arguments) == 0
+    said = capsys.readouterr().out
+    assert ("± 95 % confidence" in said, " ± 0.00" in said) == (with_noise, False)
+    assert ("without [noise] all seeds are alike: one mission says it all" in said) == (not with_noise)
 
 
 def test_a_parquet_file_has_the_rows_of_the_csv_file_beside_it(scenario: Path, tmp_path: Path) -> None:

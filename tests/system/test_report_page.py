@@ -118,6 +118,22 @@ def test_the_alarm_is_the_first_thing_that_is_seen(page: Browser, few: str, many
         assert box["bottom"] < 450
 
 
+def test_a_log_that_breaks_off_in_the_air_says_so_first(page: Browser, tmp_path: Path) -> None:
+    log = tmp_path / "torn.jsonl"
+    here = {"east_m": 20.0, "north_m": 0.0, "altitude_m": 10.0}
+    began = line("planned", 0.0, waypoints_m=[(0, 0), (20, 0)]) + line("mission_started", 1.0, waypoints=2)
+    foreseen = line("foreseen", 1.0, as_asked_s=60.0, reached_s=[10.0, 20.0])
+    log.write_bytes(began + foreseen + line("position", 30.0, **here) + line("arrived", 31.0, waypoint=0))
+    page.open(page_about(log, at=tmp_path / "torn.html"))
+    page.wait_until(lambda: page.text(".who"))
+    assert (page.text(".who"), page.text(".doing")) == ("LOG ENDS", "at 0:30 in the air · last: PROGRAM")
+    assert "torn" in (page.find(".bar").get_attribute("class") or "")
+    assert not page.text(".outlook"), "nobody knows when it was over"
+    assert page.violations() == []
+    page.seek(5.0)
+    assert page.text(".who") == "PROGRAM"
+
+
 def test_of_many_flights_the_one_that_is_shown_comes_after_the_summary(page: Browser, many: str) -> None:
     page.open(many, width=1400)
     page.drawn()

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import threading
 from collections.abc import Iterator
+from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -170,6 +171,35 @@ def test_a_flight_plays_on_its_own_from_the_beginning_to_the_end(
     assert "mission completed" in page.text(".doing")
 
 
+def test_the_bar_tells_the_call_of_a_drone_that_stands_and_none_while_it_flies_on(
+    page: Browser, tmp_path: Path
+) -> None:
+    """One call of a mission that need not wait for its answers: the drone stands at first, and then goes on."""
+    log = tmp_path / "standing.jsonl"
+    decided = {"decision": "remote", "server": "s1", "deadline_s": 3.9, "selected": "s1", "raced": True}
+    log.write_bytes(
+        line("planned", 0.0, waypoints_m=[(0, 0), (20, 0)])
+        + line("mission_started", 0.0, policy="x", waypoints=2)
+        + line("arrived", 1.0, waypoint=0)
+        + line("call_started", 2.0, operation="a.b", waypoint=0)
+        + line("decided", 2.0, operation="a.b", waypoint=0, local_s=6.0, remote_s=1.0, **decided)
+        + line("leg", 6.0, waypoint=1, east_m=20.0)
+        + line("position", 7.0, east_m=5.0)
+        + line("landed", 9.0) + line("mission_completed", 9.0)
+    )  # fmt: skip
+    with view_of(log) as address:
+        page.open(address)
+        page.wait_until(lambda: page.text("#clock").endswith("0:09"))
+        page.seek(5.1)
+        assert (
+            page.text(".says p")
+            == "PROGRAM calling s1, 3.1 of at most 3.9\N{NO-BREAK SPACE}s, also on the drone"
+        )
+        page.seek(6.5)
+        assert page.text(".doing") == "flying to waypoint 1"
+        assert "1 answer open" in page.text(".says")
+
+
 def test_the_buttons_go_from_call_to_call(page: Browser, one: str, logs: tuple[Path, Path]) -> None:
     (record,) = read_records(logs[:1])
     ends = [call.at_s + call.delay_s for call in record.calls]
@@ -200,6 +230,44 @@ def test_the_lanes_tell_of_a_moment_and_a_click_goes_there(page: Browser, one: s
     page.wait_until(lambda: re.fullmatch(r"\d+:\d\d s1.*: .+", page.text(".lanes .tip")))
     minutes, seconds = page.text(".lanes .tip").split(" ")[0].split(":")
     page.wait_until(lambda: abs(page.moment() - 60 * int(minutes) - int(seconds)) < 1.5)
+
+
+def turn_wheel(page: Browser, selector: str, *, ctrl: bool = False) -> None:
+    """Turns the wheel over the middle of that element, and waits for what the page makes of it."""
+    x, y = page.each(
+        selector, "((box) => [box.x + box.width / 2, box.y + box.height / 2])(each.getBoundingClientRect())"
+    )[0]
+    turned = {"type": "mouseWheel", "x": x, "y": y, "deltaX": 0, "deltaY": 100, "modifiers": 2 if ctrl else 0}
+    page.driver.execute_cdp_cmd("Input.dispatchMouseEvent", turned)
+    page.drawn()
+
+
+def scrolled_past(page: Browser, before_px: float) -> bool:
+    return bool(page.run("return scrollY > arguments[0]", before_px))
+
+
+def test_the_wheel_scrolls_the_page_over_the_map_and_the_lanes(page: Browser, one: str) -> None:
+    opened(page, one)
+    for figure in (".map", ".lanes"):
+        page.run("arguments[0].scrollIntoView({block: 'center'})", page.find(figure))
+        before_px = page.run("return scrollY")
+        turn_wheel(page, figure)
+        page.wait_until(partial(scrolled_past, page, before_px))
+        assert page.find(f"{figure} ~ .hint, {figure} > .hint").is_displayed(), "which says how to zoom"
+
+
+def test_the_wheel_zooms_with_ctrl_and_the_map_after_a_click(page: Browser, one: str) -> None:
+    opened(page, one)
+    scale = page.text(".leaflet-control-scale-line")
+    turn_wheel(page, ".map", ctrl=True)
+    page.wait_until(lambda: page.text(".leaflet-control-scale-line") != scale)
+    scale = page.text(".leaflet-control-scale-line")
+    page.click(".map")
+    before_px = page.run("return scrollY")
+    turn_wheel(page, ".map")
+    page.wait_until(lambda: page.text(".leaflet-control-scale-line") != scale)
+    assert page.run("return scrollY") == before_px
+    assert not page.find(".map ~ .hint").is_displayed()
 
 
 def test_the_estimates_and_the_decision_are_told_in_words(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -100,9 +101,17 @@ def test_every_drone_is_listed_at_the_same_moment_of_one_clock(page: Browser, fl
     assert " / 0:31 · " in page.text("#clock"), "to the end of the last mission, and the time of day"
     page.seek(6.8)
     assert page.rows(".drones") == [
-        ["1 drone-1", "at waypoint 1", "2 of 5", "s1 ready", "2, 1 on servers", "1.5 s", "88 %"],
-        ["2 drone-2", "at waypoint 0", "1 of 5", "s1 joining", "1, 0 on servers", "0.0 s", "88 %"],
-        ["3 drone-3", "starting the services of the drone", "0 of 5", "none", "0, 0 on servers", "", ""],
+        ["1 drone-1", "PROGRAM at waypoint 1", "2 of 5", "s1 ready", "2, 1 on servers", "1.5 s", "88 %"],
+        ["2 drone-2", "PROGRAM at waypoint 0", "1 of 5", "s1 joining", "1, 0 on servers", "0.0 s", "88 %"],
+        [
+            "3 drone-3",
+            "WAITING starting the services of the drone",
+            "0 of 5",
+            "none",
+            "0, 0 on servers",
+            "",
+            "",
+        ],
     ]
     assert [element.text for element in page.all(".users .badge")] == ["1", "2"], "who uses s1"
     assert "checking" in (page.all(".users .badge")[1].get_attribute("class") or "")
@@ -182,6 +191,40 @@ def test_a_click_on_another_drones_finding_shows_that_drone_and_its_photo(
         assert page.errors() == []
 
 
+def test_the_bar_of_a_fleet_has_the_worst_state_whichever_drone_is_in_focus(
+    page: Browser, tmp_path: Path
+) -> None:
+    """The first drone flies on, a pilot takes the second, and a fail-safe the third, whose battery is low."""
+    logs = [tmp_path / f"drone-{number}.jsonl" for number in (1, 2, 3)]
+    taken = [b"", line("control", 10.0, owner="pilot"), line("control", 6.0, owner="fail-safe")]
+    low = line("vehicle_limits", 1.0, low_percent=90.0, critical_percent=10.0)
+    for number, (log, control) in enumerate(zip(logs, taken, strict=True), start=1):
+        flown = _not_over(flight(number)).replace(b'"landed"', b'"unknown"')
+        events = sorted((flown + control + low).splitlines(keepends=True), key=_time)
+        log.write_bytes(b"".join(events))
+    with view_of(*logs) as address:
+        page.open(address)
+        page.wait_until(lambda: len(page.rows(".drones")) == 3 and not page.text("#clock").endswith("0:00"))
+        page.seek(15.0)
+        for key in "123":
+            page.find("body").send_keys(key)
+            page.drawn()
+            assert page.text(".who") == "3 drones:"
+            assert (
+                page.text(".doing").replace("\N{NO-BREAK SPACE}", " ") == "1 FAIL-SAFE · 1 PILOT · 1 PROGRAM"
+            )
+            assert "alarm" in (page.find(".bar").get_attribute("class") or "")
+            assert page.text(".aside").startswith(f"drone-{key} · ")
+        chips = page.each(".drones tbody .state", "[each.textContent, each.classList[1]]")
+        assert chips == [["PROGRAM", "program"], ["PILOT", "person"], ["FAIL-SAFE", "alarm"]]
+        assert page.each(".drones td:last-child", "each.className") == ["low"] * 3
+        assert page.violations() == []
+
+
+def _time(event: bytes) -> float:
+    return float(json.loads(event)["t"])
+
+
 def test_the_buttons_go_through_the_calls_of_the_drone_in_focus(page: Browser, fleet: str) -> None:
     opened(page, fleet)
     ActionChains(page.driver).send_keys("2").perform()
@@ -225,7 +268,7 @@ def test_flights_of_different_days_begin_at_the_same_moment(page: Browser, tmp_p
         opened(page, address)
         assert page.text("#clock").endswith(" / 0:23")
         page.seek(1.0)
-        assert [row[1] for row in page.rows(".drones")] == ["at waypoint 0"] * 3
+        assert [row[1] for row in page.rows(".drones")] == ["PROGRAM at waypoint 0"] * 3
 
 
 def test_flights_that_have_yet_to_begin_are_shown_as_they_go_on(page: Browser, tmp_path: Path) -> None:
@@ -237,7 +280,7 @@ def test_flights_that_have_yet_to_begin_are_shown_as_they_go_on(page: Browser, t
         page.wait_until(lambda: len(page.rows(".drones")) == 2)
         logs[0].write_bytes(_not_over(today(flight(1))))
         page.wait_until(lambda: page.rows(".drones")[0][2] == "5 of 5")
-        assert page.rows(".drones")[1][1] == "waiting for the log to begin"
+        assert page.rows(".drones")[1][1] == "WAITING waiting for the log to begin"
         assert page.text("#mode") not in {"", "playback"}, "the first goes on"
         logs[1].write_bytes(today(flight(2)))
         page.wait_until(lambda: page.rows(".drones")[1][2] == "5 of 5")

@@ -229,6 +229,44 @@ def test_where_something_was_found_has_its_number_on_the_map(page: Browser, one:
     assert inked(page) > before + 30
 
 
+def arranged(page: Browser, places: Sequence[tuple[float, float]]) -> list[dict[str, Any] | None]:
+    """What the map draws for a finding at each of these places, in pixels; None for a dot alone."""
+    return list(
+        page.run(
+            "const { Pills } = modules['pills.js']; const pills = new Pills();"
+            "const placed = arguments[0].map(([x, y], no) => [{ no, at_s: no }, { x, y }]); pills.arrange([placed]);"
+            "return placed.map(([finding]) => {"
+            "  const [{ move, words }] = pills.signsOf(finding, false, Infinity);"
+            "  return words === '' ? null : { move, words: String(words) }; })",
+            places,
+        )
+    )
+
+
+def test_a_finding_with_room_around_it_has_its_number_in_its_place(page: Browser, one: str) -> None:
+    page.open(one)
+    far_apart = [(30.0 * number, 50.0) for number in range(4)]
+    assert [sign and sign["move"] for sign in arranged(page, far_apart)] == [[0, 0]] * 4
+
+
+def test_a_number_that_had_to_move_stays_near_its_place_and_covers_no_other(page: Browser, one: str) -> None:
+    page.open(one)
+    row = [(12.0 * number, 50.0) for number in range(6)]
+    signs = [sign for sign in arranged(page, row) if sign]
+    assert [sign["words"] for sign in signs] == list("012345")
+    middles = [(x + sign["move"][0], y + sign["move"][1]) for (x, y), sign in zip(row, signs, strict=True)]
+    assert all(abs(sign["move"][0]) <= 45 and abs(sign["move"][1]) <= 36 for sign in signs)
+    numbers = [(x - 8, y - 8, x + 8, y + 8) for x, y in middles]
+    assert not any(overlap(here, other) for here in numbers for other in numbers if here is not other)
+
+
+def test_where_too_many_lie_close_together_one_count_stands_for_all(page: Browser, one: str) -> None:
+    page.open(one)
+    crowd = [(5.0 + 3 * (number % 5), 5.0 + 3 * (number // 5)) for number in range(17)]
+    signs = arranged(page, [*crowd, (300.0, 300.0)])
+    assert [sign and sign["words"] for sign in signs] == ["\N{MULTIPLICATION SIGN}17", *[None] * 16, "17"]
+
+
 def test_findings_can_be_downloaded(page: Browser, one: str) -> None:
     opened(page, one, 34.0)
     page.click(".downloads summary")

@@ -320,7 +320,8 @@ def test_on_rows_detours_and_waits_are_told_and_what_it_computes_meanwhile(rows:
     kinds = [beside.kind for beside in those(facts.Beside, rows)]
     assert kinds.count("detour") == len({turn.at_s for turn in those(facts.Turn, rows)}) == 3
     assert "wait" in kinds and kinds[-1] == ""
-    assert any(doing.words == "waiting for answers" for doing in those(facts.Doing, rows))
+    assert any(doing.words == "waiting for answers" and doing.stands for doing in those(facts.Doing, rows))
+    assert not any(doing.stands for doing in those(facts.Doing, rows) if doing.words.startswith("flying"))
     decisions = [decision for decision in those(facts.Decision, rows) if decision.words]
     assert [decision.waypoint for decision in decisions] == list(range(18))
 

@@ -68,6 +68,13 @@ _STATE_TONES: dict[str, Tone] = {
 }
 
 
+def _stands_after(event: Event) -> bool:
+    """Whether the drone stays at a place from the event on."""
+    if isinstance(event, schema.Arrived):
+        return not event.passing
+    return isinstance(event, schema.PhotosWait | schema.SoughtAnswers)
+
+
 def tone_of(state: str) -> Tone:
     """The tone of a server state."""
     return _STATE_TONES.get(state, Tone.ASIDE)
@@ -86,6 +93,7 @@ class Narrator:
 
     def __init__(self) -> None:
         self.doing = "starting the services of the drone"
+        self.stands = False  # at a place, for a photo or a call
         self.where = ""
         self._reached: set[int] = set()
         self._whereabouts = CallPlaces()
@@ -113,7 +121,10 @@ class Narrator:
         self.began.take(event)
         if type(event) in _WITHOUT_SENTENCE:
             return None
+        before = self.doing
         self._follow(event)
+        if self.doing != before:
+            self.stands = _stands_after(event)
         if isinstance(event, schema.Call):
             return self._call(event)
         if isinstance(event, schema.LeftToPilot) and self.control:  # which was said

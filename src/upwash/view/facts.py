@@ -104,13 +104,15 @@ class Notice(Fact, frozen=True):
 class Doing(Fact, frozen=True):
     """What the drone does from now on, and how many waypoints it has reached.
 
-    `who` has the vehicle, in a word that people read at a distance, with a `tone` that has a colour.
+    `who` has the vehicle, in a word that people read at a distance, with a `tone` that has a colour. It `stands` at a
+    place, for a photo or a call.
     """
 
     words: str
     reached: int
     who: str
     tone: str
+    stands: bool = False
 
 
 class Vehicle(Fact, frozen=True):

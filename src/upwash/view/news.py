@@ -55,7 +55,7 @@ class News:
         self._place: Position | None = None
         self._placed_s = 0.0
         self._control = Control()
-        self._doing: tuple[str, int, str, str] | None = None
+        self._doing: facts.Doing | None = None
         self._vehicle = facts.Vehicle(at_s=0.0)
         self._course: Course | None = None
         self._left_out = self._beside = ""
@@ -198,12 +198,17 @@ class News:
         if now != vehicle:
             self._vehicle = msgspec.structs.replace(now, at_s=self._now_s)
             yield self._vehicle
-        words = control.words(self._narrator.doing)
-        doing = (words, self._narrator.reached, control.who, control.tone)
+        doing = facts.Doing(
+            at_s=0.0,
+            words=control.words(self._narrator.doing),
+            reached=self._narrator.reached,
+            who=control.who,
+            tone=control.tone,
+            stands=self._narrator.stands,
+        )
         if doing != self._doing:
             self._doing = doing
-            words, reached, who, tone = doing
-            yield facts.Doing(at_s=self._now_s, words=words, reached=reached, who=who, tone=tone)
+            yield msgspec.structs.replace(doing, at_s=self._now_s)
 
     def _measured(self, server: str, place: schema.MeasuredRecord) -> facts.Measured:
         return facts.Measured(

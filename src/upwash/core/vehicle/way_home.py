@@ -5,7 +5,7 @@
 
 `WayDown` follows a return or a landing: the climb, the way, the hover above home, the descent. A part is over when
 the reports show that the next part has begun. At the start the whole is what `time_home_s` says without wind:
-never too little.
+never too little. The descent that is left takes as long as the reports show that the vehicle sinks.
 """
 
 from __future__ import annotations
@@ -143,6 +143,25 @@ def descent_s(altitude_m: float, way: WayHome) -> float:
 
 _AT_HOME_M = 2.0  # over the ground
 _SUNK_M = 1.0  # below the altitude of the return: it has begun to descend
+_PACES = (1 / 3, 3.0)  # times the expected time of a descent: the least and the most that is believed
+
+
+class _Sinking:
+    """One part of a descent: the more of it is done, the more its observed pace counts."""
+
+    def __init__(self, expected_m_s: float) -> None:
+        self._expected_m_s = expected_m_s
+        self._from_m, self._from_s = 0.0, 0.0  # the metres that were left when it began, and the second
+
+    def left_s(self, left_m: float, now_s: float, *, rests: bool) -> float:
+        sunk_m = self._from_m - left_m
+        if rests or sunk_m <= 0:
+            self._from_m, self._from_s = left_m, now_s
+            return left_m / self._expected_m_s
+        least, most = _PACES
+        pace = min(max((now_s - self._from_s) * self._expected_m_s / sunk_m, least), most)
+        done = sunk_m / self._from_m
+        return left_m / self._expected_m_s * (1.0 + done * (pace - 1.0))
 
 
 class WayDown:
@@ -157,6 +176,7 @@ class WayDown:
         self._highest_m = start.altitude_m
         self._sinks = self._is_landing = home is None
         self._waited_from_s: float | None = None  # on its way down
+        self._fast, self._slow = _Sinking(way.descent_m_s), _Sinking(way.landing_m_s)
 
     def left_s(self, position: Position, *, now_s: float) -> float:
         """Seconds to the ground, by a report; times never go back."""
@@ -164,10 +184,12 @@ class WayDown:
         self._highest_m = max(self._highest_m, position.altitude_m)
         self._take(position, now_s)
         if self._sinks:
-            return self._waits_s(position, now_s) + self._descent_s(position.altitude_m)
+            waits_s = self._waits_s(position, now_s)
+            rests = waits_s > 0 and self._waited_from_s is not None
+            return waits_s + self._sinking_s(position.altitude_m, now_s, rests=rests)
         if self._above_home_s is not None:
             rests_s = max(0.0, way.rests_s - (now_s - self._above_home_s))
-            return rests_s + self._descent_s(self._highest_m)
+            return rests_s + self._sinking_s(self._highest_m, now_s, rests=True)
         return self._to_home_s(position) + way.rests_s + descent_s(self._top_m, way)
 
     def _take(self, position: Position, now_s: float) -> None:
@@ -199,7 +221,7 @@ class WayDown:
         whole = Leg(whole_m, way.speed_m_s, way.acceleration_m_s2)
         return climbs_s + whole.duration_s - leg.reached_s(flown_m)
 
-    def _descent_s(self, altitude_m: float) -> float:
-        way = self._way
-        slowly_m = min(max(altitude_m, 0.0), way.slowly_below_m)
-        return max(altitude_m - slowly_m, 0.0) / way.descent_m_s + slowly_m / way.landing_m_s
+    def _sinking_s(self, altitude_m: float, now_s: float, *, rests: bool) -> float:
+        slowly_m = min(max(altitude_m, 0.0), self._way.slowly_below_m)
+        fast_s = self._fast.left_s(max(altitude_m - slowly_m, 0.0), now_s, rests=rests)
+        return fast_s + self._slow.left_s(slowly_m, now_s, rests=rests)

@@ -21,6 +21,7 @@ from upwash.support.sentences import say
 from upwash.support.tables import show_table
 from upwash.support.text import counted
 
+_NO_MARGIN = 1e-6  # seconds or watt-hours: a mean of equal numbers is rounded
 _FAILURES_SHOWN = 10  # of each combination: the file has them all
 _FEW_MINUTES_S, _FEW_HOURS_S = 100.0, 6_000.0  # below these times are printed in seconds, in minutes
 
@@ -71,6 +72,8 @@ def show_campaign(
         raise
     say(_verdict(sweep, summaries), console)
     show_table(_table(sweep, summaries), console)
+    if _all_are_alike(summaries):
+        say(Text("without [noise] all seeds are alike: one mission says it all"), console)
     for summary in summaries:
         for line in _failures(sweep, summary):
             say(line, console)
@@ -136,13 +139,13 @@ def _above(mean_s: float, bound_s: float) -> str:
 def _table(sweep: ParameterSweep, summaries: Sequence[CombinationSummary]) -> Table:
     metered = any(summary.energy_wh for summary in summaries)
     together = any(summary.worst_s for summary in summaries)
-    caption = "± 95 % confidence"
-    if together:
-        caption += "; fairness: Jain's index of what each drone saved, 1 where all saved the same"
     winners = _winners(summaries)
-    if winners:
-        caption = f"* quickest; {caption}"
-    table = Table(box=None, padding=(0, 1), caption=caption, caption_justify="left")
+    notes = ["* quickest"] if winners else []
+    notes += [] if _all_are_alike(summaries) else ["± 95 % confidence"]
+    notes += (
+        ["fairness: Jain's index of what each drone saved, 1 where all saved the same"] if together else []
+    )
+    table = Table(box=None, padding=(0, 1), caption="; ".join(notes), caption_justify="left")
     if winners:
         table.add_column("", no_wrap=True)  # the mark of the quickest
     for key in sweep.keys:
@@ -168,9 +171,21 @@ def _table(sweep: ParameterSweep, summaries: Sequence[CombinationSummary]) -> Ta
     return table
 
 
+def _are_alike(mean: Mean) -> bool:
+    return mean.count > 1 and mean.margin < _NO_MARGIN
+
+
+def _all_are_alike(summaries: Sequence[CombinationSummary]) -> bool:
+    times = [summary.mission_time_s for summary in summaries if summary.mission_time_s]
+    return bool(times) and all(map(_are_alike, times))
+
+
 def _minutes(mean: Mean) -> str:
-    margin = f" ± {mean.margin / 60:.2f}" if mean.count > 1 else ""
-    return f"{mean.value / 60:.2f}{margin}"
+    return f"{mean.value / 60:.2f}{_margin(mean, mean.margin / 60)}"
+
+
+def _margin(mean: Mean, margin: float) -> str:
+    return "" if mean.count == 1 or _are_alike(mean) else f" ± {margin:.2f}"
 
 
 def _of_several(summary: CombinationSummary) -> list[str]:
@@ -182,8 +197,7 @@ def _of_several(summary: CombinationSummary) -> list[str]:
 def _drawn(mean: Mean | None) -> str:
     if mean is None:
         return "-"
-    margin = f" ± {mean.margin:.2f}" if mean.count > 1 else ""
-    return f"{mean.value:.2f}{margin} Wh"
+    return f"{mean.value:.2f}{_margin(mean, mean.margin)} Wh"
 
 
 def _failures(sweep: ParameterSweep, summary: CombinationSummary) -> list[Text]:

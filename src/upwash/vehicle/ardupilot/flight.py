@@ -370,7 +370,14 @@ class CopterFlight(Multicopter):
 
 
 def _parameters_at_boot(settings: VehicleSettings) -> ParameterTable:
+    """The delivered ones, changed by the settings."""
     parameters = ParameterTable("ardupilot", new_names=settings.version >= Version(4, 7))
+    if settings.acceleration_m_s2 is not None:  # it does not hover above home or land slowly
+        parameters.preset("RTL_LOIT_TIME", 0)
+        parameters.preset("WPNAV_ACCEL", settings.acceleration_m_s2 * 100)
+        parameters.preset("WPNAV_SPEED_UP", settings.climb_m_s * 100)
+        for name in ("WPNAV_SPEED_DN", "LAND_SPEED"):
+            parameters.preset(name, settings.descent_m_s * 100)
     for name, value in (
         ("WPNAV_SPEED", settings.return_speed_m_s * 100),
         ("RTL_ALT", settings.return_altitude_m * 100),

@@ -8,6 +8,7 @@ import { STALE_S } from "./story.js";
 
 const LOW_PERCENT = 30; // of a battery whose vehicle does not tell its own stages
 const CRITICAL_PERCENT = 20;
+const TONES = ["alarm", "person", "torn", "landing", "program", "ground"]; // of states, the worst first
 const WEAK_FIXES = new Set(["none", "2d"]);
 
 export class Bar {
@@ -16,58 +17,44 @@ export class Bar {
     this.who = element("strong", { class: "who" });
     this.words = element("span", { class: "doing", role: "status" });
     this.passing = element("span"); // what changes all the time, which no screen reader should read all the time
-    this.aside = element("p", { class: "aside" });
+    this.aside = element("span", { class: "aside" });
     this.tiles = new Map(["battery", "link", "GPS", "mode", "motors"].map((tile) => [tile, new Tile(tile)]));
     this.progress = element("progress", { max: "1", value: "0", "aria-label": `Waypoints reached, ${name}` });
     this.element = element(
       "section",
       { class: "bar", "aria-label": `State of ${name}` },
-      element("div", { class: "says" }, element("p", {}, this.sign, this.who, this.words, this.passing), this.aside),
+      element("div", { class: "says" }, element("p", {}, this.who, " ", this.words, this.passing), element("p", { class: "small" }, this.sign, this.aside)),
       element("dl", { class: "tiles" }, ...[...this.tiles.values()].map((tile) => tile.element)),
       this.progress,
     );
   }
 
-  // `name` is the drone's, of several, and `number` its number on their map.
-  show(moment, name, number = "") {
+  // A flight at its moment; with its `name`, of several. Of a fleet, whose moments are all given, it is the drone in focus, with its number.
+  show(moment, name, fleet, number = "") {
     if (this.sign.textContent !== String(number)) this.sign.replaceChildren(...(number ? [badge(number)] : []));
-    if (moment.withoutNewsS && !moment.silence) this.#showSilence(moment, name);
-    else this.#showState(moment, name);
+    const one = saysOf(moment);
+    const own = [one.who, joined([one.words, one.passing], one.calls ? "" : " · ")];
+    const says = fleet.length > 1 ? { ...saysOfAll(fleet), small: [...own, ...one.small] } : one;
+    this.element.className = `bar ${says.tone}${says.calls ? " calling" : ""}${says.isLed ? " led" : ""}`;
+    write(this.who, says.who);
+    write(this.words, says.words);
+    write(this.passing, says.passing ?? "");
+    this.words.classList.toggle("alone", !says.calls && Boolean(says.passing));
+    write(this.aside, joined([name, ...says.small]));
+    this.#showTiles(moment, one);
     const { story, reached } = moment;
     this.progress.hidden = !story.waypoints;
     this.progress.value = story.waypoints ? reached / story.waypoints : 0;
   }
 
-  #showSilence(moment, name) {
-    const doing = moment.last("doing");
-    const words = moment.underWay?.doing || inWords(moment);
-    const before = doing ? `${moment.story.timeOf(moment.atS)} last heard: ${[doing.who, words].filter(Boolean).join(" · ")}` : "";
-    this.element.className = "bar alarm";
-    write(this.who, "NO NEWS");
-    write(this.words, "");
-    write(this.passing, `for ${told(moment.withoutNewsS)}`);
-    write(this.aside, [name, before].filter(Boolean).join(" · "));
+  #showTiles(moment, { who }) {
     for (const tile of this.tiles.values()) tile.element.hidden = true;
-  }
-
-  #showState(moment, name) {
-    const doing = moment.last("doing");
-    const calling = moment.open.length ? null : moment.underWay; // a drone that flies on does not wait for a call
-    this.element.className = `bar ${doing?.tone ?? "ground"}${calling ? " calling" : ""}`;
-    write(this.who, doing?.who ?? "WAITING");
-    write(this.words, calling ? calling.doing : inWords(moment));
-    write(this.passing, unparted((calling ? [courseOf(calling, moment)] : figures(moment, doing)).filter(Boolean).join(" · ")));
-    this.words.classList.toggle("alone", !calling && Boolean(this.passing.textContent));
-    write(this.aside, unparted([name, ...beside(moment, doing, calling)].filter(Boolean).join(" · ")));
-    this.#showTiles(moment);
-  }
-
-  #showTiles(moment) {
+    if (who === "NO NEWS") return;
     const { story } = moment;
     const lost = moment.silence;
     const known = lost ? {} : (moment.last("vehicle") ?? {}); // what a vehicle told that is not heard any more is old
     const battery = lost ? null : moment.last("battery");
-    const heard = moment.isOver || !story.opened ? null : moment.recent("fix", STALE_S);
+    const heard = moment.isOver || moment.breaksOff || !story.opened ? null : moment.recent("fix", STALE_S);
     this.tiles.get("battery").showBattery(battery?.battery_percent, moment.stages);
     const silent = lost && told(moment.atS - lost.since_s);
     this.tiles.get("link").show(lost ? `lost ${silent}` : heard ? "ok" : "", { tone: lost ? "critical" : "" });
@@ -96,13 +83,63 @@ class Tile {
   }
 
   showBattery(percent, stages) {
-    const low = stages?.low_percent ?? LOW_PERCENT;
-    const critical = stages?.critical_percent ?? Math.min(CRITICAL_PERCENT, low);
-    const tone = percent < critical ? "critical" : percent < low ? "low" : "";
-    this.show(percent === undefined ? "" : `${percent.toFixed(0)} %`, { tone });
+    this.show(percent === undefined ? "" : `${percent.toFixed(0)} %`, { tone: toneOfBattery(percent, stages) });
     this.charge.setAttribute("width", (0.19 * Math.min(100, Math.max(0, percent ?? 0))).toFixed(1));
     if (!this.icon.parentNode) this.value.before(this.icon);
   }
+}
+
+// The colour of a battery at so many percent, by the vehicle's own stages if it told them.
+export function toneOfBattery(percent, stages) {
+  const low = stages?.low_percent ?? LOW_PERCENT;
+  const critical = stages?.critical_percent ?? Math.min(CRITICAL_PERCENT, low);
+  return percent < critical ? "critical" : percent < low ? "low" : "";
+}
+
+// A flight's state at its moment: in a word, with a tone that has a colour, and what it does.
+export function stateOf(moment) {
+  const { who = "WAITING", tone = "ground" } = moment.last("doing") ?? {};
+  if (moment.withoutNewsS && !moment.silence) return { who: "NO NEWS", tone: "alarm", words: "" };
+  if (moment.breaksOff) return { who: "LOG ENDS", tone: "torn", words: "" };
+  return { who, tone, words: inWords(moment) };
+}
+
+// What the bar says of one flight, with what passes by itself and what stands in small letters.
+function saysOf(moment) {
+  const state = stateOf(moment);
+  const { story } = moment;
+  const words = moment.underWay?.doing || inWords(moment);
+  const { who } = moment.last("doing") ?? {};
+  if (state.who === "NO NEWS") {
+    return { ...state, passing: `for ${told(moment.withoutNewsS)}`, small: [`${story.timeOf(moment.atS)} last heard: ${joined([who, words])}`] };
+  }
+  if (state.who === "LOG ENDS") {
+    const where = moment.last("doing").tone === "ground" ? "on the ground" : "in the air";
+    const ends = `at ${story.timeOf(story.endsS)} ${where} · last: ${who}`;
+    return { ...state, words: ends, small: [words, ...beside(moment, state)], isLed: true };
+  }
+  const calling = callOf(moment);
+  const small = beside(moment, state, calling);
+  if (calling) return { ...state, words: calling.doing, passing: joined([courseOf(calling, moment)]), small, calls: true };
+  return { ...state, passing: joined(figures(moment, state)), small };
+}
+
+// How many drones are in each state, in the colour of the worst.
+function saysOfAll(moments) {
+  const states = moments.map(stateOf).sort((one, other) => TONES.indexOf(one.tone) - TONES.indexOf(other.tone));
+  const names = [...new Set(states.map(({ who }) => who))];
+  const words = names.map((who) => `${states.filter((state) => state.who === who).length}\u00a0${who}`).join(" · ");
+  return { tone: states[0].tone, who: `${moments.length} drones:`, words, isLed: true };
+}
+
+// The call that the drone waits for: none while it flies on, and no single one of several whose answers are open.
+function callOf(moment) {
+  const { open } = moment;
+  return !open.length || (open.length === 1 && moment.stands) ? moment.underWay : null;
+}
+
+function joined(parts, between = " · ") {
+  return unparted(parts.filter(Boolean).join(between));
 }
 
 // What the drone does; of a vehicle that the program does not fly, the mode that it is in.
@@ -116,15 +153,17 @@ export function inWords(moment) {
 
 // How high it is, when it is on the ground, and what a fail-safe may be about.
 function figures(moment, doing) {
-  if (!doing || doing.tone === "ground" || moment.silence || moment.last("vehicle")?.armed === false) return [];
+  if (doing.tone === "ground" || moment.silence || moment.last("vehicle")?.armed === false) return [];
   const { position } = moment;
   const down = moment.isOver ? null : moment.recent("down", STALE_S);
   const battery = moment.last("battery")?.battery_percent;
   const isEmpty = doing.tone === "alarm" && battery < (moment.stages?.low_percent ?? LOW_PERCENT);
+  const call = moment.stands && moment.open.length > 1 ? moment.underWay : null;
   return [
     position ? `${position.altitude_m.toFixed(0)} m` : "",
     down && doing.tone === "landing" ? `on the ground in ${told(down.down_s)}` : "",
     doing.tone === "program" && moment.open.length ? `${counted(moment.open.length, "answer")} open` : "",
+    call ? `${call.doing}${courseOf(call, moment)}` : "",
     isEmpty ? `battery ${battery.toFixed(0)} %` : "",
   ];
 }
@@ -135,14 +174,14 @@ function beside(moment, doing, calling) {
   const atS = Math.min(moment.atS, story.ended?.at_s ?? Infinity); // beside a longer flight too
   const place = moment.position;
   const motion = moment.last("vehicle")?.armed === false ? null : moment.recent("motion", STALE_S);
-  const others = doing && (doing.tone === "person" || doing.tone === "alarm");
+  const others = doing.tone === "person" || doing.tone === "alarm";
   return [
     story.began ? story.timeOf(atS) : "",
     story.timeOfDay(atS),
-    calling ? doing?.words : "",
+    calling ? doing.words : "",
     others ? `since ${story.timeOf(moment.heldSince)}` : "",
     story.waypoints ? `${moment.reached} of ${counted(story.waypoints, "waypoint")} reached` : "",
     calling && place ? `${place.altitude_m.toFixed(0)} m` : "",
-    motion?.ground_speed_m_s >= 0.05 && doing?.tone !== "ground" ? `${motion.ground_speed_m_s.toFixed(1)} m/s` : "",
+    motion?.ground_speed_m_s >= 0.05 && doing.tone !== "ground" ? `${motion.ground_speed_m_s.toFixed(1)} m/s` : "",
   ];
 }

@@ -27,7 +27,7 @@ export class DecisionCard {
   show(moment) {
     const decision = moment.underWay;
     const about = decision ?? moment.last("call");
-    write(this.heading, headingOf(about, decision && (moment.withoutNewsS ? "Call that was under way" : "Call under way")));
+    write(this.heading, headingOf(about, decision && (moment.withoutNewsS || moment.breaksOff ? "Call that was under way" : "Call under way")));
     write(this.course, decision ? wholeCourse(decision, moment) : about ? lineOf(about, moment.story) : "");
     const going = moment.last("going");
     const gone = decision && going && going.at_s >= decision.began_s && going.waypoint === decision.waypoint;

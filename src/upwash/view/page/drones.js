@@ -3,7 +3,7 @@
 import { badge } from "./badge.js";
 import { lasting, told } from "./clock.js";
 import { element, table, write } from "./element.js";
-import { inWords } from "./bar.js";
+import { stateOf, toneOfBattery } from "./bar.js";
 
 const HEADS = ["drone", "doing", "waypoints", "server", "calls", "saved", "battery"];
 const WIDE = new Set(["server", "calls", "saved"]); // left out on a phone
@@ -22,6 +22,7 @@ export class DroneList {
     const button = element("button", { type: "button", "aria-pressed": "false" }, badge(index + 1), ` ${story.name}`);
     button.title = `Look at ${story.name} (key ${index + 1})`;
     const cells = Object.fromEntries(HEADS.slice(1).map((head) => [head, element("td")]));
+    cells.doing.append(element("span"), " ", element("span"));
     for (const head of WIDE) cells[head].classList.add("wide");
     const name = element("th", { scope: "row" }, button);
     const row = element("tr", {}, name, ...Object.values(cells));
@@ -46,8 +47,12 @@ export class DroneList {
 function showRow(cells, moment) {
   const { story } = moment;
   const alarm = moment.notices.find(({ level }) => level === "alarm");
-  write(cells.doing, story.trouble || (alarm ? alarm.cause : doingOf(moment)));
-  cells.doing.classList.toggle("trouble", Boolean(story.trouble || alarm));
+  const { who, tone, words } = stateOf(moment);
+  const [chip, doing] = cells.doing.children;
+  chip.className = `state ${tone}`;
+  write(chip, who);
+  write(doing, story.trouble || alarm?.cause || words);
+  doing.className = story.trouble || alarm ? "trouble" : "";
   write(cells.waypoints, `${moment.reached} of ${story.waypoints}`);
   write(cells.server, moment.using.map((used) => `${used.server} ${used.state}`).join(", ") || "none");
   const { count, places } = moment.calls;
@@ -56,11 +61,7 @@ function showRow(cells, moment) {
   write(cells.saved, saved === null || !count ? "" : lasting(saved));
   const battery = moment.last("battery");
   write(cells.battery, battery ? `${battery.battery_percent.toFixed(0)} %` : "");
-}
-
-function doingOf(moment) {
-  const who = moment.last("doing")?.who ?? "PROGRAM";
-  return [["PROGRAM", "WAITING"].includes(who) ? "" : who.toLowerCase(), inWords(moment)].filter(Boolean).join(", ");
+  cells.battery.className = toneOfBattery(battery?.battery_percent, moment.stages);
 }
 
 // What the missions came to together, once all of them are over.

@@ -156,7 +156,7 @@ export class Flight {
       [sign("wait"), "waited for a server"],
       [sign("mean"), "mean on the drone"],
       ...(story.open.length ? [[sign("open"), "answer not there"]] : []),
-      ...(found ? [[pill(), "what was found, by its number"]] : []),
+      ...(found ? [[pill("1"), "what was found, by its number"], [pill("×9"), "several close together"]] : []),
     ];
     this.legend.replaceChildren(...entries.map((entry) => element("span", { class: "entry" }, ...entry)));
   }
@@ -166,6 +166,6 @@ function fillOf(places, operation) {
   return `${FILL_WORDS[places.fill(operation)]}: ${operation}`;
 }
 
-function pill() {
-  return element("span", { class: "pill", "aria-hidden": "true" }, "1");
+function pill(words) {
+  return element("span", { class: "pill", "aria-hidden": "true" }, words);
 }

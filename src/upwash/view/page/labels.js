@@ -5,7 +5,7 @@ const GAP_PX = 3;
 const BACK_PX = 15; // that have to be free around a place before a label comes back to it
 
 // Boxes are { x, y, width, height }, x and y of the corner at the upper left.
-function overlap(one, other) {
+export function overlap(one, other) {
   return (
     one.x < other.x + other.width && other.x < one.x + one.width &&
     one.y < other.y + other.height && other.y < one.y + one.height
@@ -57,7 +57,7 @@ function sizeOf(element, sizes) {
   return sizes.get(words);
 }
 
-function wider({ x, y, width, height }, by) {
+export function wider({ x, y, width, height }, by) {
   return { x: x - by, y: y - by, width: width + 2 * by, height: height + 2 * by };
 }
 

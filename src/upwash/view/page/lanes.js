@@ -4,6 +4,7 @@ import { inShort, line } from "./chart.js";
 import { told } from "./clock.js";
 import { card, counted, element, write } from "./element.js";
 import { inBrief } from "./places.js";
+import { guardWheel } from "./wheel.js";
 
 const [LEFT, RIGHT, AXIS] = [88, 12, 20];
 const [LANE, BAR] = [18, 12];
@@ -36,6 +37,7 @@ export class Lanes {
     this.over.addEventListener("pointerleave", () => (this.tip.hidden = true));
     this.over.addEventListener("click", (event) => this.seek(this.#second(event.offsetX)));
     this.over.addEventListener("wheel", (event) => this.#zoom(event), { passive: false });
+    guardWheel(this.frame, "Turn the wheel with Ctrl to zoom");
     this.over.addEventListener("dblclick", () => this.#showRange(null));
     new ResizeObserver(() => this.#moment && this.show(this.#moment)).observe(this.frame);
   }

@@ -5,13 +5,13 @@ import { styleOf } from "./badge.js";
 import { droneIcon, turn } from "./icons.js";
 import { Mosaic } from "./mosaic.js";
 import { Marks, STILL, paintFinding, paintMeasured, paintOpen, paintTurn } from "./marks.js";
-import { ABOVE } from "./pills.js";
 import { Track } from "./track.js";
 import { Waypoints } from "./waypoints.js";
 
 const [STACKED, IN_A_ROW] = [1.8, 5]; // several calls at one place stand beside each other, so many radii apart
 const ABOVE_ALL = 1000; // of the drone's mark; that of the drone in focus is above the others'
 const [LEAST_PX, MOST_PX, RIM_PX] = [2.5, 5, 1]; // of a mark's radius; and around it
+const PADDING_PX = 60; // around findings that are looked at closely
 const REACH_PX = 110; // of a mark from its place, beside others
 
 export class FlightLayer {
@@ -31,7 +31,7 @@ export class FlightLayer {
     this.number = number;
     this.isFocus = false;
     this.plan = null;
-    this.waypoints = new Waypoints(map);
+    this.waypoints = new Waypoints(map, (box) => pills.leaves(box));
     const latLng = (east, north) => this.latLng(east, north);
     this.track = new Track(map, { latLng }, () => this.#line(0.35), () => this.#line(1));
     this.mosaic = new Mosaic(map, places, log, { latLng, scale: () => this.#scale });
@@ -105,6 +105,7 @@ export class FlightLayer {
     }
     this.drone.setLatLng(this.latLng(position.east_m, position.north_m)).addTo(this.map);
     turn(this.drone.getElement(), moment.headingDeg);
+    this.drone.getElement().dataset.tone = moment.last("doing")?.tone ?? "";
     this.focus(this.isFocus);
   }
 
@@ -117,7 +118,8 @@ export class FlightLayer {
 
   // Of several drones those of the one in focus.
   #showNumbers() {
-    this.waypoints.showNumbers(this.number === null || Boolean(this.isFocus), this.#scale);
+    const wanted = (this.number === null || this.isFocus) && !this.pills.areDense;
+    this.waypoints.showNumbers(wanted, this.#scale);
   }
 
   // Where the drone's mark is on the map's layers, in pixels; null where it has none.
@@ -130,11 +132,16 @@ export class FlightLayer {
   }
 
   #paintFinding(finding, context, x, y) {
-    const spot = this.pills.of(finding);
-    if (spot === undefined) return;
-    const [right, down] = spot ?? ABOVE;
-    const colours = [this.places.colours.of("ink"), this.places.colours.of("paper")];
-    paintFinding(context, colours, spot && finding.no, finding === this.current, x + right, y + down);
+    const isCurrent = finding === this.current;
+    const colours = ["ink", "paper"].map((name) => this.places.colours.of(name));
+    for (const sign of this.pills.signsOf(finding, isCurrent, this.#atS)) paintFinding(context, colours, sign, x, y);
+  }
+
+  // The numbers of what was found stand elsewhere, which leave the waypoints' more or less room.
+  renumber(current) {
+    this.#showNumbers();
+    this.waypoints.redraw();
+    this.refreshFindings(current);
   }
 
   // Draws the numbers of what was found anew.
@@ -148,13 +155,19 @@ export class FlightLayer {
   findingAt(point) {
     const { told } = this.#marks;
     if (!told) return null;
-    const at = (finding) => this.pills.isAt(finding, this.map.latLngToLayerPoint(this.#placeOf(finding)), point);
+    const at = (finding) => this.pills.isAt(finding, this.map.latLngToLayerPoint(this.#placeOf(finding)), point, this.#atS);
     return told.facts.slice(0, told.count).findLast(at) ?? null;
   }
 
   // [finding, point] pairs of what was found.
   placed(findings) {
     return findings.map((finding) => [finding, this.map.latLngToLayerPoint(this.#placeOf(finding))]);
+  }
+
+  // All of them into sight.
+  zoomTo(findings) {
+    const places = findings.map((finding) => this.#placeOf(finding));
+    this.map.fitBounds(L.latLngBounds(places), { padding: [PADDING_PX, PADDING_PX] });
   }
 
   #placeOf({ east_m, north_m }) {

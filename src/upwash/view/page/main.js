@@ -125,7 +125,9 @@ function show() {
   };
   for (const view of views) view.show(clock.nowS, limits);
   const many = feed.stories.length > 1;
-  views.forEach(({ watched, number }, index) => bars[index].show(watched.at(clock.nowS), many ? watched.name : "", number));
+  views.forEach(({ watched, stories: flown, number }, index) => {
+    bars[index].show(watched.at(clock.nowS), many ? watched.name : "", flown.map((story) => story.at(clock.nowS)), number);
+  });
   const alarms = banner.show(shown().map((story) => story.at(clock.nowS)));
   document.title = alarms ? `ALARM · ${title}` : title;
   showControls();

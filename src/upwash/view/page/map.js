@@ -10,9 +10,11 @@ import { FlightLayer } from "./layer.js";
 import { Marks, STILL, paintCross } from "./marks.js";
 import { inBrief } from "./places.js";
 import { Pills } from "./pills.js";
+import { guardWheel } from "./wheel.js";
 
 const PAPER_PX = 660; // the width of what is printed on A4
 const DRONE_PX = 36; // nothing may cover that much
+const LABEL_PX = 200; // as far from its place a label may cover something
 const NAME = 16; // characters of a server's, which its place in the list has whole
 const DASHED_M = 10_000; // a wider circle has more dashes than a browser draws in a second
 const IN_USE = { weight: 2.5, opacity: 1, fillOpacity: 0.1 };
@@ -56,6 +58,7 @@ export class FlightMap {
       const many = logs.length > 1 ? { number: index + 1, chosen: () => chosen(index) } : {};
       return new FlightLayer(this.map, this.ground, places, this.#pills, { log, ...many });
     });
+    guardWheel(this.element, "Turn the wheel with Ctrl to zoom, or click into the map first", { byClick: true });
     this.map.setView([0, 0], this.ground.options.minZoom);
     this.map.on("mousemove", (event) => {
       this.#readOut("pointer", event.latlng);
@@ -63,13 +66,13 @@ export class FlightMap {
     });
     this.map.on("click", (event) => {
       const found = this.#findingAt(event.layerPoint);
-      if (found) this.found(found.story, found.finding);
+      if (found) this.#pick(found);
     });
     this.map.on("move", () => this.#readOutCentre());
     this.map.on("zoomend", () => {
       this.layers.forEach((layer) => layer.zoomed());
-      this.#arrange();
       this.#number();
+      this.#arrange();
     });
     this.#readOut();
     for (const away of ["pointerleave", "blur"]) this.frame.addEventListener(away, () => this.#readOut());
@@ -128,15 +131,23 @@ export class FlightMap {
   }
 
   #findingAt(point) {
-    const found = this.layers.map((layer, index) => ({ story: this.#stories[index], finding: layer.findingAt(point) }));
+    const found = this.layers.map((layer, index) => ({ layer, story: this.#stories[index], finding: layer.findingAt(point) }));
     return found.findLast(({ finding }) => finding) ?? null;
+  }
+
+  // A count of findings leads nearer to them, as long as the map can.
+  #pick({ layer, story, finding }) {
+    const group = this.#pills.groupOf(finding);
+    if (group && this.map.getZoom() < this.ground.options.maxZoom) {
+      this.#moved = true;
+      layer.zoomTo(group);
+    } else this.found(story, finding);
   }
 
   // Says where the number of each finding stands.
   #number() {
-    const placed = this.layers.flatMap((layer, index) => layer.placed(this.#stories[index]?.numbered ?? []));
-    this.#pills.arrange(placed.sort(([one], [other]) => one.no - other.no));
-    this.layers.forEach((layer) => layer.refreshFindings(this.#current));
+    this.#pills.arrange(this.layers.map((layer, index) => layer.placed(this.#stories[index]?.numbered ?? [])));
+    this.layers.forEach((layer) => layer.renumber(this.#current));
   }
 
   // Each flight at its moment, and the finding that is looked at.
@@ -170,14 +181,15 @@ export class FlightMap {
     else if (isOther) this.layers.forEach((layer) => layer.refreshFindings(current));
   }
 
-  // Moves the servers' labels out of each other's way, and out of the drones'.
+  // Moves the servers' labels out of each other's way, and of the drones' and the findings'.
   #arrange() {
     const labels = [...this.#servers.values()].map(({ chip, centre }) => [chip, this.map.latLngToLayerPoint(centre)]);
     const drones = this.layers.map((layer) => layer.point).filter(Boolean);
     const taken = drones.map(({ x, y }) => {
       return { x: x - DRONE_PX / 2, y: y - DRONE_PX / 2, width: DRONE_PX, height: DRONE_PX };
     });
-    this.#labels.arrange(labels, taken);
+    const near = ({ x, y }) => labels.some(([, place]) => Math.hypot(x - place.x, y - place.y) < LABEL_PX);
+    this.#labels.arrange(labels, [...taken, ...this.#pills.boxes.filter(near)]);
   }
 
   // Everything is drawn anew when it is shown next, in other colours.

@@ -119,28 +119,36 @@ export function paintOpen(context, colour, x, y, radius) {
   draw(context, colour, 1.4, [2.5, 2.5]);
 }
 
-// The number of what was found there, in a pill with its middle there; a dot where there is no room for it.
-export function paintFinding(context, [ink, paper], number, isCurrent, x, y) {
-  const width = number === null ? DOT_PX : pillWidth(number);
-  const height = number === null ? DOT_PX : PILL_PX;
+// What was found there: a dot, and its number or a count in a pill so far from it, with a line where that is not in its place.
+export function paintFinding(context, [ink, paper], { move: [right, down], words, isCurrent }, x, y) {
   context.globalAlpha = 1;
   context.setLineDash([]);
-  context.beginPath();
-  context.roundRect(x - width / 2, y - height / 2, width, height, height / 2);
-  context.fillStyle = isCurrent ? ink : paper;
-  context.fill();
   context.strokeStyle = ink;
-  context.lineWidth = 1.4;
-  context.stroke();
-  if (number === null) return;
+  const pill = (middleX, middleY, width, height) => {
+    context.beginPath();
+    context.roundRect(middleX - width / 2, middleY - height / 2, width, height, height / 2);
+    context.fillStyle = isCurrent ? ink : paper;
+    context.fill();
+    context.lineWidth = 1.4;
+    context.stroke();
+  };
+  if (right || down) {
+    context.beginPath();
+    context.moveTo(x, y);
+    context.lineTo(x + right, y + down);
+    draw(context, ink, 1);
+  }
+  if (right || down || !words) pill(x, y, DOT_PX, DOT_PX);
+  if (!words) return;
+  pill(x + right, y + down, pillWidth(words), PILL_PX);
   context.font = "700 10.5px system-ui, sans-serif";
   context.textAlign = "center";
   context.fillStyle = isCurrent ? paper : ink;
-  context.fillText(number, x, y + 3.8);
+  context.fillText(words, x + right, y + down + 3.8);
 }
 
 export const PILL_PX = 16; // its height
-const DOT_PX = 7;
+export const DOT_PX = 7;
 
 export function pillWidth(number) {
   return Math.max(PILL_PX, 8 + 6.5 * String(number).length);
@@ -158,6 +166,12 @@ export function paintNumber(context, [colour, ground], words, x, y) {
   context.strokeText(words, x, y + 17);
   context.fillStyle = colour;
   context.fillText(words, x, y + 17);
+}
+
+// What that covers.
+export function numberBox(words, x, y) {
+  const width = 6.5 * words.length;
+  return { x: x - width / 2, y: y + 8, width, height: 11 };
 }
 
 export const NUMBER_FONT = "11px system-ui, sans-serif";

@@ -8,7 +8,7 @@ const ON_TIME = 0.01; // of the mission: a difference from the forecast that is 
 // Empty where nothing of it holds: unless the program flies the mission, and after one that ended early.
 export function outlook(moment) {
   if (moment.isOver) return moment.story.isCompleted ? [ended(moment)] : [];
-  if (!moment.isOnMission || moment.withoutNewsS) return [];
+  if (!moment.isOnMission || moment.withoutNewsS || moment.breaksOff) return [];
   const { count, places } = moment.calls;
   const saved = moment.using.length && count > (places.get("local") ?? 0) ? moment.savedS : null;
   return [

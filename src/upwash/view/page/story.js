@@ -231,6 +231,10 @@ export class Story {
     return Boolean(this.grows && this.opened && !this.ended) && this.silentS < OVER_S;
   }
 
+  get breaksOff() {
+    return Boolean(this.began && !this.ended && !this.goesOn && !this.isBehind && !this.trouble);
+  }
+
   // How long ago the last of it was written.
   get silentS() {
     return Date.now() / 1000 - this.opened.epoch_s - (this.lastS - this.opened.at_s);
@@ -388,6 +392,16 @@ class Moment {
   get withoutNewsS() {
     const silentS = this.isLatest && this.story.goesOn ? this.story.silentS : 0;
     return silentS > STALE_S ? silentS : 0;
+  }
+
+  // Whether the log has no more, though it does not say that the mission is over.
+  get breaksOff() {
+    return this.isLatest && this.story.breaksOff;
+  }
+
+  // Whether it is at a place for a call, and not on its way.
+  get stands() {
+    return Boolean(this.last("doing")?.stands);
   }
 
   get isOver() {

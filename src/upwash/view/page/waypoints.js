@@ -1,7 +1,7 @@
 // The waypoints of a plan: the way between them, and their numbers as soon as these have room.
 
 import * as L from "./leaflet/leaflet-src.esm.js";
-import { Marks, NUMBER_FONT, STILL, paintDot, paintNumber } from "./marks.js";
+import { Marks, NUMBER_FONT, STILL, numberBox, paintDot, paintNumber } from "./marks.js";
 
 const LINE_PX = 28; // from a number to the one beneath it, with the marks between them
 const GAP_PX = 6;
@@ -12,7 +12,9 @@ export class Waypoints {
   #labels = [];
   #roomyAt = Infinity; // the scale, in pixels for a metre, from which on no number covers another
 
-  constructor(map) {
+  // `leaves` says whether a box on the map is free for a number.
+  constructor(map, leaves) {
+    this.leaves = leaves;
     this.group = L.layerGroup().addTo(map);
   }
 
@@ -29,9 +31,16 @@ export class Waypoints {
     dots.show(way.length);
     this.#numbers = new Marks({
       place: (index) => latLng(this.#labels[index].east, this.#labels[index].north),
-      paint: (context, index, x, y) => paintNumber(context, [ink, paper], this.#labels[index].words, x, y),
+      paint: (context, index, x, y) => {
+        const { words } = this.#labels[index];
+        if (this.leaves(numberBox(words, x, y))) paintNumber(context, [ink, paper], words, x, y);
+      },
       reach: 40,
     }).addTo(this.group);
+  }
+
+  redraw() {
+    this.#numbers?.redraw();
   }
 
   // Shows the numbers if they are wanted, and there is room at that scale.
