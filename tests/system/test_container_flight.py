@@ -14,11 +14,6 @@ from tests.programs import printed
 from tests.system.test_demonstration import Demonstration, started
 from tests.waiting import wait_for
 
-
-def on(kind: Kind) -> object:
-    return pytest.param(kind, marks=pytest.mark.xdist_group(kind))
-
-
 pytestmark = [pytest.mark.root, pytest.mark.system, pytest.mark.timeout(400)]
 
 RUNTIME = """\
@@ -35,7 +30,13 @@ server = [{ name = "s1" }]
 """
 
 
-@pytest.mark.parametrize("kind", [on("lxd"), on("incus")])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param("lxd", marks=pytest.mark.xdist_group("lxd")),
+        pytest.param("incus", marks=[pytest.mark.xdist_group("incus"), pytest.mark.nightly]),
+    ],
+)
 def test_a_mission_survives_the_kill_of_a_container_and_of_a_daemon_in_mid_call(
     kind: Kind, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import signal
 import subprocess
 import uuid
@@ -17,12 +18,15 @@ import pytest
 from tests.children import Process, descendants, is_alive, processes
 from tests.events import read
 from tests.programs import UPWASH
+from tests.system.browser import Browser
+from tests.system.browser import why_not as why_no_browser
 from tests.system.faults.lateness import noting_lateness, noting_waits, read_lateness
 from tests.system.thresholds import waits_at_their_threshold
 from tests.waiting import wait_for
 
 from upwash.cli.demonstration import read_demonstration, score_photos
 from upwash.eventlog.log import EventLog
+from upwash.eventlog.progress import clock
 from upwash.eventlog.results import RunResult, read_result
 from upwash.lab.run import simulate
 from upwash.report.record import findings_of, read_records
@@ -115,10 +119,23 @@ def started(folder: Path, *options: str) -> Iterator[Demonstration]:
                 os.kill(each.pid, signal.SIGKILL)
 
 
-def test_calls_run_on_the_drone_and_on_both_servers(demonstration: Demonstration, tmp_path: Path) -> None:
+@pytest.mark.root
+@pytest.mark.xdist_group("browser")
+@pytest.mark.skipif(bool(why_no_browser()), reason=why_no_browser())
+@pytest.mark.timeout(300)
+def test_calls_run_on_the_drone_and_on_both_servers_and_a_page_shows_them(
+    page: Browser, tmp_path: Path
+) -> None:
     lateness, waits = tmp_path / "lateness", tmp_path / "waits"
-    with noting_lateness(lateness), noting_waits(waits, lambda: descendants(demonstration.process.pid)):
-        result = demonstration.finish()
+    with started(tmp_path, "--live", "0") as demonstration:
+        process = demonstration.process
+        with noting_lateness(lateness), noting_waits(waits, lambda: descendants(process.pid)):
+            assert process.stdout is not None
+            lines = map(bytes.decode, iter(process.stdout.readline, b""))
+            address = next(line.split()[-1] for line in lines if line.startswith("live view: "))
+            check_is_shown(page, address)
+            result = demonstration.finish()
+    check_was_shown(page, address, result)
     totals = result.totals
     assert totals.local >= 1
     assert set(totals.remote) == {"s1", "s2"}
@@ -128,6 +145,46 @@ def test_calls_run_on_the_drone_and_on_both_servers(demonstration: Demonstration
     late_s = sum(to_s - from_s for file in (lateness, waits) for from_s, to_s in read_lateness(file))
     check_against_simulation(result, late_s)
     check_places(demonstration.folder / "events.jsonl")
+
+
+def check_is_shown(page: Browser, address: str) -> None:
+    """The page shows the flight until its end."""
+    page.open(address)
+    page.wait_until(lambda: page.text("#mode") == "live")
+    first = page.wait_until(lambda: page.text(".where"))
+    page.wait_until(lambda: page.text(".where") != first)
+    page.wait_until(lambda: any(not row[1].startswith("AVL ") for row in page.rows(".servers")))
+    page.wait_until(lambda: page.run("return document.querySelector('.photo img').naturalWidth") == 1440)
+    page.wait_until(lambda: page.all(".boxes .found"), within_s=100)
+    assert page.all(".boxes .truth")
+    assert page.violations() == []
+    page.wait_until(lambda: shown_calls(page) > 1)  # the only call has none before it
+    page.click("#previous")  # what was may be looked at while it goes on
+    page.wait_until(
+        lambda: page.find("#latest").get_attribute("aria-pressed") == "false"
+    )  # at the next frame
+    page.click("#latest")
+    page.wait_until(lambda: "mission completed" in page.text(".doing"), within_s=200)
+
+
+def check_was_shown(page: Browser, address: str, result: RunResult) -> None:
+    """The page that is left open has what came of the flight."""
+    page.wait_until(lambda: "has ended" in page.text("#connection"))
+    page.click(".delays summary")
+    page.wait_until(
+        lambda: page.rows(".delays")
+    )  # the browser tells the page of the click when it gets to it
+    assert [row[4] for row in page.rows(".delays")] == [f"{call.delay_s:.2f} s" for call in result.calls]
+    assert f"the mission took {clock(result.mission_time_s)}" in page.text(".summary")
+    assert page.errors() == []
+    assert page.elsewhere(address) == []
+
+
+def shown_calls(page: Browser) -> int:
+    """How many calls the chart shows."""
+    label = page.find(".chart canvas").get_attribute("aria-label") or ""
+    counted = re.search(r"(\d+) calls", label)
+    return int(counted[1]) if counted else 0
 
 
 def check_places(log: Path) -> None:
@@ -178,14 +235,35 @@ def check_against_simulation(flown: RunResult, late_s: float) -> None:
     assert 0.9 * expected_s < flown.mission_time_s < 1.1 * expected_s + late_s
 
 
-def test_who_looks_ahead_and_goes_on_finds_a_warm_server_and_tells_all_at_its_waypoint(
+def test_of_two_drones_one_whose_program_is_killed_does_not_end_the_other_which_goes_on_and_tells_all(
     tmp_path: Path,
 ) -> None:
-    with started(tmp_path, "--policy", "look-ahead", "--stay-or-go", "learn") as demonstration:
-        result = demonstration.finish()
-    events = demonstration.events()
-    check_is_prepared(events)
-    assert set(result.totals.remote) == {"s1", "s2"}
+    with started(
+        tmp_path, "--drones", "2", "--policy", "look-ahead", "--stay-or-go", "learn"
+    ) as demonstration:
+        demonstration.wait_for(lambda event: event["event"] == "arrived", log="drone-2.jsonl")
+        (killed,) = (
+            process
+            for process in demonstration.processes()
+            if process.parent == demonstration.process.pid and "drone-2.toml" in process.command
+        )
+        os.kill(killed.pid, signal.SIGKILL)
+        output = demonstration.end(1)
+    whole, cut = (demonstration.events(f"drone-{number}.jsonl") for number in (1, 2))
+    assert "landed" not in [event["event"] for event in cut]
+    assert len({*plan_of(whole), *plan_of(cut)}) == 2 * WAYPOINTS, "each on its own lane"
+    assert "1 of 2 flights completed; mission time: mean" in output
+    assert any(
+        line.startswith("drone-1  ") and line.endswith("s  landed at home") for line in output.splitlines()
+    )
+    assert (tmp_path / "run" / "keys" / "drone-2.key").exists(), "each has its own"
+    assert set(demonstration.flown("drone-1.jsonl").totals.remote) == {"s1", "s2"}
+    check_is_prepared(whole)
+    check_goes_on(whole)
+
+
+def check_goes_on(events: list[dict[str, Any]]) -> None:
+    """It went on before answers were there, and came back for those that demanded something."""
     decided = [event for event in events if event["event"] == "stay_or_go"]
     assert [event["waypoint"] for event in decided] == list(range(WAYPOINTS))
     assert decided[0]["goes"], "3 s on the drone, and nothing known of what answers demand"
@@ -239,7 +317,7 @@ def test_the_mission_survives_the_kill_of_instances_and_then_of_both_daemons(
 
 
 def test_ctrl_c_lands_the_drone_and_leaves_nothing_behind(demonstration: Demonstration) -> None:
-    demonstration.wait_for(lambda event: event["event"] == "arrived" and event["waypoint"] == 1)
+    demonstration.wait_for(lambda event: event["event"] == "took_off")
     demonstration.process.send_signal(signal.SIGINT)
     demonstration.end(130)
     assert_landed(demonstration.events())
@@ -251,32 +329,6 @@ def assert_landed(events: list[dict[str, Any]]) -> None:
     kinds = [event["event"] for event in events if event["event"] != "vehicle_said"]
     assert kinds[-1] == "mission_ended"
     assert kinds.index("stopping") < kinds.index("safe_end") < kinds.index("landed")
-
-
-@pytest.mark.timeout(480)
-def test_of_three_drones_one_whose_program_is_killed_does_not_end_the_others(tmp_path: Path) -> None:
-    whole = ["drone-1", "drone-2"]
-    with started(tmp_path, "--drones", "3") as demonstration:
-        demonstration.wait_for(lambda event: event["event"] == "arrived", log="drone-3.jsonl")
-        (killed,) = (
-            process
-            for process in demonstration.processes()
-            if process.parent == demonstration.process.pid and "drone-3.toml" in process.command
-        )
-        os.kill(killed.pid, signal.SIGKILL)
-        output = demonstration.end(1)
-    results = {drone: demonstration.flown(f"{drone}.jsonl") for drone in whole}
-    places = {drone: plan_of(demonstration.events(f"{drone}.jsonl")) for drone in [*whole, "drone-3"]}
-    assert len({place for plan in places.values() for place in plan}) == 3 * WAYPOINTS, "each on its own lane"
-    assert {server for result in results.values() for server in result.totals.remote} == {"s1", "s2"}
-    for drone in whole:
-        assert any(
-            line.startswith(f"{drone}  ") and line.endswith("s  landed at home")
-            for line in output.splitlines()
-        )
-    assert "2 of 3 flights completed; mission time: mean" in output
-    assert "landed" not in [event["event"] for event in demonstration.events("drone-3.jsonl")]
-    assert (tmp_path / "run" / "keys" / "drone-3.key").exists(), "each has its own"
 
 
 def plan_of(events: list[dict[str, Any]]) -> list[tuple[float, float]]:

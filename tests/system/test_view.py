@@ -1,11 +1,8 @@
-"""The page of `upwash view` and `--live`, in a browser: live, played back, side by side, on a phone, in the dark."""
+"""The page of `upwash view` and `--live`, in a browser: played back, side by side, on a phone, in the dark."""
 
 from __future__ import annotations
 
-import os
 import re
-import signal
-import subprocess
 import threading
 from collections.abc import Iterator
 from functools import partial
@@ -17,12 +14,11 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 from tests.events import line
 from tests.maps import folder_with, tiles_around
-from tests.programs import UPWASH, upwash
+from tests.programs import upwash
 from tests.scenarios import scenario
 from tests.system.browser import NEEDED, Browser, view_of
 from tests.waiting import wait_for
 
-from upwash import read_log, read_result
 from upwash.cli.main import main
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
@@ -60,13 +56,6 @@ def opened(page: Browser, address: str, *, width: int = 1280, scheme: str = "lig
 
 def calls_until(record: Record, at_s: float) -> int:
     return sum(call.at_s + call.delay_s <= at_s + 1e-6 for call in record.calls)
-
-
-def shown_calls(page: Browser) -> int:
-    """How many calls the chart shows."""
-    label = page.find(".chart canvas").get_attribute("aria-label") or ""
-    counted = re.search(r"(\d+) calls", label)
-    return int(counted[1]) if counted else 0
 
 
 # --- played back ----------------------------------------------------------------------------------------------
@@ -655,53 +644,3 @@ def test_map_tiles_of_a_folder_are_served_and_lie_in_a_report(
     page.open(made.as_uri())
     page.wait_until(lambda: any(source.startswith("data:image/png") for source in page.run(shown)))
     assert page.errors() == []
-
-
-# --- live -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.flight
-@pytest.mark.timeout(300)
-def test_a_demonstration_is_shown_while_it_flies(page: Browser, tmp_path: Path) -> None:
-    log = tmp_path / "run" / "events.jsonl"
-    demonstration = subprocess.Popen(
-        [*UPWASH, "demo", "--live", "0", "--folder", str(log.parent)],
-        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
-    )  # fmt: skip
-    assert demonstration.stdout is not None
-    try:
-        lines = iter(demonstration.stdout.readline, "")
-        address = next(line.split()[-1] for line in lines if line.startswith("live view: "))
-        page.open(address)
-        page.wait_until(lambda: page.text("#mode") == "live")
-        first = page.wait_until(lambda: page.text(".where"))
-        page.wait_until(lambda: page.text(".where") != first)
-        page.wait_until(lambda: any(not row[1].startswith("AVL ") for row in page.rows(".servers")))
-        page.wait_until(lambda: page.run("return document.querySelector('.photo img').naturalWidth") == 1440)
-        page.wait_until(lambda: page.all(".boxes .found"), within_s=100)
-        assert page.all(".boxes .truth")
-        assert page.violations() == []
-        page.wait_until(lambda: shown_calls(page) > 1)  # the only call has none before it
-        page.click("#previous")  # what was may be looked at while it goes on
-        page.wait_until(
-            lambda: page.find("#latest").get_attribute("aria-pressed") == "false"
-        )  # at the next frame
-        page.click("#latest")
-        page.wait_until(lambda: "mission completed" in page.text(".doing"), within_s=200)
-        output = demonstration.communicate(timeout=60)[0]
-        assert demonstration.returncode == 0, output
-        page.wait_until(lambda: "has ended" in page.text("#connection"))
-        page.click(".delays summary")
-        page.wait_until(
-            lambda: page.rows(".delays")
-        )  # the browser tells the page of the click when it gets to it
-        result = read_result(read_log(log))
-        assert [row[4] for row in page.rows(".delays")] == [f"{call.delay_s:.2f} s" for call in result.calls]
-        assert f"the mission took {clock(result.mission_time_s)}" in page.text(".summary")
-        assert page.errors() == []
-        assert page.elsewhere(address) == []
-    finally:
-        if demonstration.poll() is None:
-            os.killpg(demonstration.pid, signal.SIGINT)
-            demonstration.communicate(timeout=100)
-        demonstration.stdout.close()
