@@ -153,7 +153,7 @@ def check_is_shown(page: Browser, address: str) -> None:
     page.wait_until(lambda: page.text("#mode") == "live")
     first = page.wait_until(lambda: page.text(".where"))
     page.wait_until(lambda: page.text(".where") != first)
-    page.wait_until(lambda: any(not row[1].startswith("AVL ") for row in page.rows(".servers")))
+    page.wait_until(lambda: any(not row[1].startswith("not joined") for row in page.rows(".servers")))
     page.wait_until(lambda: page.run("return document.querySelector('.photo img').naturalWidth") == 1440)
     page.wait_until(lambda: page.all(".boxes .found"), within_s=100)
     assert page.all(".boxes .truth")
