@@ -23,7 +23,14 @@ import msgspec
 from bench.echo import REPLY_BYTES, Echo, OnboardEcho
 from bench.servers import GRPC_PATH, LENGTH_BYTES
 
-from upwash.config import DroneConfig, MissionConfig, NetworkConfig, PolicyConfig, ServerConfig, ServiceConfig
+from upwash.config.drone import (
+    DroneConfig,
+    MissionConfig,
+    NetworkConfig,
+    PolicyConfig,
+    ServerConfig,
+    ServiceConfig,
+)
 from upwash.core.geo import Position
 from upwash.core.knowledge.servers import State
 from upwash.drone.api import Drone

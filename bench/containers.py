@@ -22,8 +22,7 @@ from statistics import median
 from bench.echo import Echo
 from bench.program import command_line, machine
 
-from upwash.config import RuntimeConfig
-from upwash.config.runtime import ContainerNetworkConfig, EngineConfig
+from upwash.config.runtime import ContainerNetworkConfig, EngineConfig, RuntimeConfig
 from upwash.core.admission.limits import DEFAULT_LIMITS
 from upwash.errors import UsageError
 from upwash.missions.bundled import load_service_alone

@@ -31,7 +31,7 @@ from bench.results import FOLDER, leave
 from bench.stalling import CALLS, UNCOUNTED, drawn_s
 
 from upwash import read_log
-from upwash.config import drone_config
+from upwash.config.drone_file import drone_config
 from upwash.emulation.enclosure import require_root_and_tools, run_enclosed, settle_in
 from upwash.emulation.namespaces import LinkEnd, inside, make_namespace
 from upwash.eventlog import schema

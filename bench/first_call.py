@@ -14,7 +14,7 @@ from statistics import fmean
 import msgspec
 from bench.program import command_line
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.lab.campaigns.comparison import NamedScenario, read_scenarios, thesis_scenarios
 from upwash.lab.run import simulate
 from upwash.lab.scenario import with_policy

@@ -17,7 +17,9 @@ from statistics import fmean, median
 import msgspec
 from bench.program import command_line, machine
 
-from upwash.config import DroneConfig, FleetDroneConfig, ServerConfig, TruthConfig, read_drone_config
+from upwash.config.drone import DroneConfig, FleetDroneConfig, ServerConfig
+from upwash.config.drone_file import read_drone_config
+from upwash.config.world import TruthConfig
 from upwash.lab.run import simulate_drones
 from upwash.lab.scenario import with_policy
 

@@ -13,16 +13,15 @@ from statistics import fmean, quantiles
 import msgspec
 from bench.program import command_line
 
-from upwash.config import (
+from upwash.config.drone import (
     DroneConfig,
-    FaultConfig,
     GridConfig,
     MissionConfig,
-    NoiseConfig,
     PolicyConfig,
     ServerConfig,
     ServiceConfig,
 )
+from upwash.config.world import FaultConfig, NoiseConfig
 from upwash.core.selection.hedging import HedgeRule
 from upwash.eventlog import schema
 from upwash.lab.run import Run, simulate

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from bench.program import command_line
 
-from upwash.config import drone_config
+from upwash.config.drone_file import drone_config
 from upwash.eventlog import schema
 from upwash.lab.processes import in_processes
 from upwash.lab.run import simulate

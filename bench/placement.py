@@ -17,7 +17,9 @@ from typing import Any
 from bench.program import command_line, machine
 
 from upwash import simulate
-from upwash.config import drone_config, read_document, waypoints
+from upwash.config.drone_file import drone_config
+from upwash.config.places import waypoints
+from upwash.config.reading import read_document
 from upwash.core.geo import Position
 from upwash.preflight.placement import Places, Trials, best_places
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from bench.program import command_line, machine
 
-from upwash.config import Document
+from upwash.config.reading import Document
 from upwash.errors import UpwashError
 from upwash.lab import processes
 from upwash.lab.run import simulate

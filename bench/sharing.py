@@ -17,7 +17,8 @@ import msgspec
 from bench.program import command_line
 from bench.results import FOLDER, leave
 
-from upwash.config import DroneConfig, FleetDroneConfig, ServerConfig, fleet_of, read_drone_config
+from upwash.config.drone import DroneConfig, FleetDroneConfig, ServerConfig
+from upwash.config.drone_file import fleet_of, read_drone_config
 from upwash.lab.bounds import bounds_of
 from upwash.lab.outcome import fleet_outcome
 from upwash.lab.processes import in_processes

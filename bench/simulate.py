@@ -22,14 +22,9 @@ from statistics import median
 import msgspec
 from bench.program import command_line, machine
 
-from upwash.config import (
-    DroneConfig,
-    GridConfig,
-    ServerConfig,
-    read_drone_config,
-    server_areas,
-    waypoints,
-)
+from upwash.config.drone import DroneConfig, GridConfig, ServerConfig
+from upwash.config.drone_file import read_drone_config
+from upwash.config.places import server_areas, waypoints
 from upwash.lab.campaigns.campaign import in_processes, run_campaign
 from upwash.lab.campaigns.file import CampaignFile
 from upwash.lab.campaigns.sweep import read_sweep
@@ -70,7 +65,7 @@ MISSIONS_OF_A_TURN = 5
 FLIES = """
 import sys, time
 from pathlib import Path
-from upwash.config import read_drone_config
+from upwash.config.drone_file import read_drone_config
 from upwash.lab.run import simulate
 config, missions = read_drone_config(Path(sys.argv[1])), int(sys.argv[2])
 simulate(config)

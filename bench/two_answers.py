@@ -22,8 +22,8 @@ from bench.program import command_line, machine
 from bench.rows import SCENARIO
 
 import upwash
-from upwash.config import waypoints
 from upwash.config.drone_file import drone_config
+from upwash.config.places import waypoints
 from upwash.config.reading import read_document
 from upwash.eventlog import schema
 from upwash.lab.processes import in_processes

@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.table import Table
 
 from upwash import read_log, read_result
-from upwash.config import DroneConfig, GridConfig, ServerConfig
+from upwash.config.drone import DroneConfig, GridConfig, ServerConfig
 from upwash.emulation.programs import write_config
 from upwash.emulation.request import (
     ComputerKind,

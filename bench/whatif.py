@@ -19,7 +19,9 @@ import msgspec
 from bench.program import command_line, machine
 from msgspec.structs import replace
 
-from upwash.config import Document, DroneConfig, waypoints
+from upwash.config.drone import DroneConfig
+from upwash.config.places import waypoints
+from upwash.config.reading import Document
 from upwash.core.policies.names import POLICIES
 from upwash.errors import UsageError
 from upwash.lab import processes

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.config.drone_file import drone_config
 
 HEAVY_S = 10.0

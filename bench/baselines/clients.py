@@ -11,7 +11,10 @@ from collections.abc import Iterator
 from typing import NamedTuple
 from unittest.mock import patch
 
-from upwash.config import DroneConfig, FaultConfig, server_places, server_truth, true_areas
+from upwash.config.drone import DroneConfig
+from upwash.config.places import server_places, true_areas
+from upwash.config.truth import server_truth
+from upwash.config.world import FaultConfig
 from upwash.core.call.call import Call
 from upwash.core.call.calls import Calls
 from upwash.core.geo import Position, ground_distance_m

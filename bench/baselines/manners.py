@@ -10,7 +10,8 @@ from bench.baselines.clients import replicated, stoppable
 from bench.gains.kept import Missions
 from msgspec.structs import replace
 
-from upwash.config import DroneConfig, EventConfig, PhotosConfig
+from upwash.config.drone import DroneConfig, PhotosConfig
+from upwash.config.world import EventConfig
 from upwash.errors import UpwashError
 from upwash.lab.bounds import bound_of
 from upwash.lab.run import Run, simulate

@@ -18,7 +18,9 @@ from typing import NamedTuple
 from bench.sharing import crossing_routes, replaced, same_field
 from msgspec import Struct
 
-from upwash.config import DroneConfig, NoiseConfig, PolicyConfig, fleet_of
+from upwash.config.drone import DroneConfig, PolicyConfig
+from upwash.config.drone_file import fleet_of
+from upwash.config.world import NoiseConfig
 from upwash.lab.outcome import jain
 from upwash.lab.run import Run, simulate_fleet
 from upwash.policies import Choice, LocationAware, Situation

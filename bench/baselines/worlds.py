@@ -11,7 +11,8 @@ from bench.hedging import WAYS
 from bench.hedging import world as faulty_world
 from msgspec.structs import replace
 
-from upwash.config import DroneConfig, drone_config
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import drone_config
 from upwash.lab.campaigns.comparison import read_scenarios
 from upwash.lab.worlds import HELD_OUT, draw_world
 

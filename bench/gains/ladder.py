@@ -12,7 +12,7 @@ from bench.gains.kept import Missions
 from bench.hedging import WAYS
 from bench.hedging import world as faulty_world
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.errors import UpwashError
 from upwash.lab.bounds import bound_of
 from upwash.lab.campaigns.comparison import Entrant, NamedScenario, read_scenarios, thesis_scenarios

@@ -90,7 +90,7 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from upwash.config import SecondLook
+    from upwash.config.drone import SecondLook
     from upwash.core.camera.georeference import Place, Unplaced
     from upwash.core.geo import EarthPosition, GeoPosition, Position, Velocity, Via, Waypoint
     from upwash.core.vehicle.telemetry import Attitude, GpsFix, Telemetry

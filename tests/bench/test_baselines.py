@@ -11,7 +11,7 @@ from bench.baselines.worlds import scenario
 from bench.gains.kept import Missions
 from msgspec.structs import replace
 
-from upwash.config import FaultConfig
+from upwash.config.world import FaultConfig
 from upwash.lab.run import simulate
 from upwash.policies import Option, Situation
 

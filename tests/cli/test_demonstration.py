@@ -22,7 +22,8 @@ from upwash.cli.demonstration_fleet import (
     summary,
 )
 from upwash.cli.main import main
-from upwash.config import DroneConfig, server_areas, waypoints
+from upwash.config.drone import DroneConfig
+from upwash.config.places import server_areas, waypoints
 from upwash.core.geo import Position, ground_distance_m
 from upwash.eventlog.fleet import FleetProgress
 from upwash.eventlog.schema import Event

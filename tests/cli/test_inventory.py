@@ -15,7 +15,7 @@ from rich.console import Console
 
 from upwash.cli.inventory import ServerView, print_views, views
 from upwash.cli.main import main
-from upwash.config import ListedServer, read_inventory
+from upwash.config.inventory import ListedServer, read_inventory
 from upwash.core.admission.admission import AdmissionController
 from upwash.core.admission.clients import Client
 from upwash.core.admission.server import ServerOffer

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from upwash.config import DaemonConfig, ImageConfig, PeerConfig, read_daemon_config, read_drone_config
+from upwash.config.daemon import DaemonConfig, ImageConfig, PeerConfig, read_daemon_config
+from upwash.config.drone_file import read_drone_config
 from upwash.core.admission.limits import DEFAULT_LIMITS
 from upwash.errors import ConfigError
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from tests.scenarios import scenario
 
-from upwash.config import demand_map_of, demands_kept, waypoints
 from upwash.config.kept_maps import FORGOTTEN_AFTER, DemandFile
+from upwash.config.places import demand_map_of, demands_kept, waypoints
 from upwash.core.geo import GeoPosition, Position
 from upwash.core.planning.demand_map import DemandMap
 from upwash.errors import ConfigError

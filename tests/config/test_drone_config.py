@@ -10,17 +10,11 @@ from typing import Any
 import msgspec
 import pytest
 
-from upwash.config import (
-    AutopilotConfig,
-    DroneConfig,
-    GridConfig,
-    MissionConfig,
-    read_drone_config,
-    server_position,
-    server_truth,
-    told_in_numbers,
-    waypoints,
-)
+from upwash.config.drone import AutopilotConfig, DroneConfig, GridConfig, MissionConfig
+from upwash.config.drone_file import read_drone_config
+from upwash.config.flight_times import told_in_numbers
+from upwash.config.places import server_position, waypoints
+from upwash.config.truth import server_truth
 from upwash.core.geo import Position
 from upwash.errors import ConfigError
 

@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 
 from upwash.cli.main import main
-from upwash.config import DroneConfig, Presence, fleet_of, presences, read_drone_config, waypoints
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import Presence, fleet_of, presences, read_drone_config
+from upwash.config.places import waypoints
 from upwash.errors import ConfigError
 
 FLEET = (Path(__file__).parent / "fleet.toml").read_text()

@@ -9,9 +9,10 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from upwash.config import fleet_of, server_position, server_truth, waypoints
 from upwash.config.daemon import daemon_config
-from upwash.config.drone_file import drone_config
+from upwash.config.drone_file import drone_config, fleet_of
+from upwash.config.places import server_position, waypoints
+from upwash.config.truth import server_truth
 from upwash.errors import ConfigError
 
 FOLDER = Path(__file__).parent

@@ -13,18 +13,10 @@ from hypothesis import strategies as st
 from tests import events
 
 from upwash import Drone
-from upwash.config import (
-    DroneConfig,
-    HomeConfig,
-    MissionConfig,
-    altitudes_above_sea,
-    ending,
-    file_notices,
-    geofence,
-    read_drone_config,
-    waypoints,
-)
-from upwash.config.drone_file import drone_config
+from upwash.config.drone import DroneConfig, MissionConfig
+from upwash.config.drone_file import drone_config, read_drone_config
+from upwash.config.places import altitudes_above_sea, ending, file_notices, geofence, waypoints
+from upwash.config.values import HomeConfig
 from upwash.core.geo import Position
 from upwash.errors import AutopilotRefused, ConfigError
 from upwash.lab.run import Run, simulate

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from upwash.config import read_daemon_config, read_drone_config
+from upwash.config.daemon import read_daemon_config
+from upwash.config.drone_file import read_drone_config
 from upwash.errors import ConfigError
 
 DRONE = """

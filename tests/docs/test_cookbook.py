@@ -10,7 +10,7 @@ import cv2
 import pytest
 
 from upwash.cli.main import main
-from upwash.config import read_daemon_config
+from upwash.config.daemon import read_daemon_config
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "examples" / "cookbook"

@@ -15,17 +15,17 @@ from bench.results import FOLDER
 
 from bench import promises
 from upwash.cli.main import command_line
-from upwash.config import (
+from upwash.config.daemon import read_daemon_config
+from upwash.config.drone import (
     DroneConfig,
     FleetDroneConfig,
     MissionConfig,
     PolicyConfig,
     ServerConfig,
     ServiceConfig,
-    TruthConfig,
-    read_daemon_config,
-    read_drone_config,
 )
+from upwash.config.drone_file import read_drone_config
+from upwash.config.world import TruthConfig
 from upwash.core.knowledge.servers import TRANSITIONS
 
 KEYS_AND_REST = """

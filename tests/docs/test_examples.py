@@ -15,7 +15,8 @@ import pytest
 import tomli_w
 from tests.programs import ROOT, ended, upwash
 
-from upwash.config import read_daemon_config, read_drone_config
+from upwash.config.daemon import read_daemon_config
+from upwash.config.drone_file import read_drone_config
 from upwash.missions.bundled import load_services
 from upwash.rpc.service import spec_of
 

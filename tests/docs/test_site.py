@@ -13,7 +13,7 @@ from PIL import Image
 from tests.programs import ROOT, ended
 from tests.system.browser import Browser, browser, why_not
 
-from upwash.config import read_drone_config
+from upwash.config.drone_file import read_drone_config
 
 DOCS = ROOT / "docs"
 

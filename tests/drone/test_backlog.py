@@ -10,7 +10,7 @@ from tests.programs import ROOT
 from tests.scenarios import scenario, server
 
 import upwash
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.core.geo import Position, ground_distance_m
 from upwash.eventlog import schema
 from upwash.lab.run import Run, simulate

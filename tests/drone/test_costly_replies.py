@@ -12,7 +12,7 @@ import pytest
 from tests.events import written
 from tests.waiting import million_steps_s
 
-from upwash.config import drone_config
+from upwash.config.drone_file import drone_config
 from upwash.drone.server_session import ServerSession
 from upwash.lab.run import simulate_fleet
 

@@ -14,7 +14,7 @@ import msgspec
 import pytest
 from tests.events import written
 
-from upwash.config import drone_config
+from upwash.config.drone_file import drone_config
 from upwash.core.call import steps
 from upwash.core.call.calls import Calls
 from upwash.core.selection.events import LocalCallEnded, RemoteCallEnded

@@ -16,7 +16,10 @@ from tests.scenarios import scenario
 from tests.surveys import transects, written
 
 from upwash import Drone
-from upwash.config import DroneConfig, FaultConfig, read_drone_config, waypoints
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import read_drone_config
+from upwash.config.places import waypoints
+from upwash.config.world import FaultConfig
 from upwash.core.geo import Position
 from upwash.drone.places import is_missed, nearest_on
 from upwash.eventlog import schema

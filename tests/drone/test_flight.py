@@ -11,7 +11,7 @@ import pytest
 from tests.events import written
 
 from upwash import Drone
-from upwash.config import read_drone_config
+from upwash.config.drone_file import read_drone_config
 from upwash.core.selection.selection import Selection
 from upwash.drone.server_session import ServerSession
 from upwash.errors import MissionFailed

@@ -8,7 +8,9 @@ from typing import Any
 
 import pytest
 
-from upwash.config import DroneConfig, drone_config, waypoints
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import drone_config
+from upwash.config.places import waypoints
 from upwash.core.geo import Position
 from upwash.drone.home import above_home, planned_home
 from upwash.errors import AutopilotRefused

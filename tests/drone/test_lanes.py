@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from tests.scenarios import scenario, server
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.eventlog import schema
 from upwash.lab.run import simulate
 

@@ -17,7 +17,7 @@ from tests.drone.test_rows import ROWS
 from tests.drone.test_stay_or_go import going
 
 from upwash import Drone
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.core.geo import Position, Waypoint
 from upwash.core.planning.acts import Acts, cheapest
 from upwash.core.planning.legs import Pace

@@ -9,7 +9,7 @@ import pytest
 from tests.events import written
 from tests.scenarios import fault, scenario, server
 
-from upwash.config import waypoints
+from upwash.config.places import waypoints
 from upwash.core.selection.selection import Selection
 from upwash.drone.preparation import make_selection
 from upwash.errors import UsageError

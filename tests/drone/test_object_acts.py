@@ -19,7 +19,9 @@ from tests.drone.test_stay_or_go import going
 from tests.surveys import END, Item, at, begin, written
 
 from upwash import Drone, FoundObject
-from upwash.config import DroneConfig, ObjectConfig, read_drone_config
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import read_drone_config
+from upwash.config.world import ObjectConfig
 from upwash.core.geo import Position, ground_distance_m
 from upwash.drone.resumption import waypoints_done
 from upwash.errors import ConfigError

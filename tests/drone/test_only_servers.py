@@ -14,7 +14,8 @@ from msgspec.structs import replace
 from tests.drone.test_pending import of
 
 from upwash import Drone, Unanswered, once, service
-from upwash.config import DroneConfig, drone_config
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import drone_config
 from upwash.core.geo import Circle, Position, ground_distance_m
 from upwash.core.planning.answer_stops import AnswerStops
 from upwash.drone.resumption import waypoints_done

@@ -12,7 +12,8 @@ from tests.events import event
 from tests.scenarios import scenario, server
 
 from upwash import simulate
-from upwash.config import DroneConfig, fleet_of, read_drone_config
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import fleet_of, read_drone_config
 from upwash.core.planning.order import Order
 from upwash.drone.preparation import order_of
 from upwash.drone.resumption import order_begun

@@ -11,7 +11,7 @@ from tests.drone.test_lanes import backlog
 from tests.drone.test_pending import of
 from tests.scenarios import server
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.config.drone_file import drone_config
 from upwash.core.geo import Position, ground_distance_m
 from upwash.drone import own_policy

@@ -15,7 +15,7 @@ import pytest
 from PIL import ExifTags, Image
 from tests.report.test_findings import jpeg
 
-from upwash.config import read_drone_config
+from upwash.config.drone_file import read_drone_config
 from upwash.core.camera.georeference import Ground, PhotoGeometry, Place, Unplaced
 from upwash.core.camera.lens import Lens
 from upwash.core.geo import EarthPosition, Position, Velocity

@@ -8,7 +8,7 @@ import pytest
 from tests.conftest import SCENARIOS
 from tests.drone.test_reserve import survey_far
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.drone.flight import Flight
 from upwash.eventlog import schema
 from upwash.lab.run import simulate

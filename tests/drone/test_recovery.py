@@ -8,7 +8,7 @@ import pytest
 from tests.events import written
 from tests.scenarios import fault, scenario, server
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.errors import ConfigError
 from upwash.lab.observer import Observation
 from upwash.lab.run import Run, simulate, simulate_fleet

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from tests.drone.test_safe_ends import ACTIONS, Scene, assert_ended_in, fly, scenario
 from tests.events import written
 
-from upwash.config import DroneConfig, SafeEnd
+from upwash.config.drone import DroneConfig, SafeEnd
 from upwash.config.drone_file import drone_config
 from upwash.core.geo import Position, Velocity
 from upwash.core.vehicle.way_home import STILL, EnergyFacts, time_home_s

@@ -13,7 +13,7 @@ import pytest
 from tests.events import event
 
 from upwash import Drone
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.config.drone_file import drone_config
 from upwash.core.geo import Position
 from upwash.drone.flight import Flight, Ports

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.events import event as made
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.config.drone_file import drone_config
 from upwash.drone.resumption import order_begun, ordered_down, waypoints_done
 from upwash.errors import UsageError

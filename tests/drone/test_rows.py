@@ -18,7 +18,9 @@ from tests.drone.test_resume import Part, at_once, fly, scenario
 from tests.surveys import END, at, begin, transects, written
 
 from upwash import Drone, Position, Waypoint
-from upwash.config import FaultConfig, read_drone_config, waypoints
+from upwash.config.drone_file import read_drone_config
+from upwash.config.places import waypoints
+from upwash.config.world import FaultConfig
 from upwash.core.call.calls import Calls
 from upwash.core.geo import ground_distance_m
 from upwash.errors import AutopilotOverruled, CameraError, MissionStopped, ReserveReached

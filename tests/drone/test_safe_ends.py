@@ -14,8 +14,11 @@ import pytest
 from rich.console import Console
 from tests.events import event, written
 
-from upwash.config import AutopilotConfig, DroneConfig, FaultConfig, SafeEnd, pace_in_numbers, waypoints
+from upwash.config.drone import AutopilotConfig, DroneConfig, SafeEnd
 from upwash.config.drone_file import drone_config
+from upwash.config.flight_times import pace_in_numbers
+from upwash.config.places import waypoints
+from upwash.config.world import FaultConfig
 from upwash.core.vehicle.control import Control, Owner
 from upwash.drone.api import Drone
 from upwash.drone.flight import Flight, Ports

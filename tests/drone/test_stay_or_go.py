@@ -15,7 +15,7 @@ from tests.drone.test_safe_ends import scenario as far
 from tests.events import written
 
 from upwash import Drone, Position
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.errors import InstanceError
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event

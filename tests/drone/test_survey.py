@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from upwash.config import drone_config
+from upwash.config.drone_file import drone_config
 from upwash.core.geo import Position
 from upwash.errors import CameraError
 from upwash.eventlog import schema

@@ -11,7 +11,7 @@ from tests.preflight.test_check import here
 from tests.scenarios import fault, scenario, server
 
 from upwash import Drone
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.drone.resumption import waypoints_done
 from upwash.errors import ConfigError, UsageError
 from upwash.eventlog import schema

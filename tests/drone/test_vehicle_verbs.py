@@ -9,7 +9,7 @@ import pytest
 from tests.drone.test_safe_ends import fly as fly_safely
 from tests.drone.test_safe_ends import scenario
 
-from upwash.config import read_drone_config
+from upwash.config.drone_file import read_drone_config
 from upwash.errors import AutopilotRefused
 from upwash.eventlog import schema
 from upwash.lab.run import Run, simulate

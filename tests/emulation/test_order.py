@@ -7,15 +7,12 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from upwash.config import (
-    DroneConfig,
-    PeerConfig,
-    TruthConfig,
-    UserConfig,
-    read_daemon_config,
-    read_drone_config,
-    server_truth,
-)
+from upwash.config.daemon import PeerConfig, read_daemon_config
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import read_drone_config
+from upwash.config.truth import server_truth
+from upwash.config.user import UserConfig
+from upwash.config.world import TruthConfig
 from upwash.emulation.native import WIFI, wifi_of
 from upwash.emulation.programs import daemon_config, write_config
 from upwash.emulation.request import EmulationRequest, emulated, left_out, server_paces

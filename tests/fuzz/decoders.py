@@ -29,8 +29,8 @@ from rosbags.rosbag2.enums import StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 from tests.events import line as line_of
 
-from upwash.config import read_drone_config
 from upwash.config.daemon import read_daemon_config
+from upwash.config.drone_file import read_drone_config
 from upwash.config.kept_maps import CoverageFile, DemandFile
 from upwash.config.traces import read_battery, read_goodput_trace, read_service_times, read_track, read_wind
 from upwash.core.geo import GeoPosition, Position

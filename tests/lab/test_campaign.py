@@ -20,7 +20,8 @@ import pytest
 from tests.waiting import wait_for
 
 from upwash.cli.main import main
-from upwash.config import drone_config, read_document, read_drone_config
+from upwash.config.drone_file import drone_config, read_drone_config
+from upwash.config.reading import read_document
 from upwash.errors import ConfigError, UsageError
 from upwash.lab import processes
 from upwash.lab.campaigns.campaign import (

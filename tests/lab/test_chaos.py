@@ -17,7 +17,8 @@ from tests.sim.planted import deadline_ignored
 
 from upwash.cli.arguments import seeds
 from upwash.cli.main import main
-from upwash.config import Lie, drone_config
+from upwash.config.drone_file import drone_config
+from upwash.config.world import Lie
 from upwash.lab.faults import campaign as chaos
 from upwash.lab.faults.display import Summary, judge_all
 from upwash.lab.faults.worlds import SEEDS_PER_SCENARIO, World, configs

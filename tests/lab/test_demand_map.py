@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 import upwash
-from upwash.config import EventConfig
-from upwash.config.world import EventAreaConfig
+from upwash.config.world import EventAreaConfig, EventConfig
 from upwash.core.geo import Position
 from upwash.eventlog import schema
 from upwash.preflight.acts import told_acts

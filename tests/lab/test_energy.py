@@ -14,7 +14,8 @@ from tests.scenarios import scenario, server
 
 import upwash
 from upwash.cli.main import main
-from upwash.config import DroneConfig, EnergyConfig
+from upwash.config.drone import DroneConfig
+from upwash.config.world import EnergyConfig
 from upwash.errors import ConfigError
 from upwash.eventlog import schema
 from upwash.eventlog.results import EnergyTotals

@@ -10,7 +10,8 @@ import msgspec
 import pytest
 from tests.scenarios import scenario, server
 
-from upwash.config import DroneConfig, fleet_of, presences
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import fleet_of, presences
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.lab.observer import Observation

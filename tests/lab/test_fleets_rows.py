@@ -10,7 +10,7 @@ import msgspec
 import pytest
 from tests.scenarios import scenario, server
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.eventlog import schema
 from upwash.lab.run import Run, simulate_drones
 

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.scenarios import scenario, server
 
-from upwash.config import fleet_of, server_areas, waypoints
-from upwash.config.drone_file import drone_config
+from upwash.config.drone_file import drone_config, fleet_of
+from upwash.config.places import server_areas, waypoints
 from upwash.lab.bounds import bound_of, bounds_of
 from upwash.lab.run import simulate, simulate_drones
 

@@ -10,7 +10,7 @@ import pytest
 from tests.events import written
 from tests.scenarios import scenario, server
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.lab.run import Run, simulate_fleet
 
 CALL_S, PROCESSING_S = 8.0, 7.0

@@ -13,7 +13,9 @@ from bench.results import read
 from rich.console import Console
 from tests.scenarios import scenario as survey
 
-from upwash.config import NoiseConfig, read_drone_config, server_areas, waypoints
+from upwash.config.drone_file import read_drone_config
+from upwash.config.places import server_areas, waypoints
+from upwash.config.world import NoiseConfig
 from upwash.core.geo import Circle, ground_distance_m
 from upwash.lab.reproduction import sensitivity
 from upwash.lab.reproduction.cells import (

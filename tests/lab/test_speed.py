@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 from tests.lab.test_ground_speed import WORLDS, at
 
-from upwash.config import DroneConfig, waypoints
+from upwash.config.drone import DroneConfig
+from upwash.config.places import waypoints
 from upwash.core.geo import Position, ground_distance_m
 from upwash.drone.speed import SpeedLimit
 from upwash.errors import MissionFailed

@@ -25,7 +25,8 @@ from tests.surveys import (
     written,
 )
 
-from upwash.config import read_drone_config, waypoints
+from upwash.config.drone_file import read_drone_config
+from upwash.config.places import waypoints
 from upwash.core.geo import distance_m
 from upwash.drone.speed import photo_doubts
 from upwash.errors import ConfigError

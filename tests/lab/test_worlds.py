@@ -12,7 +12,7 @@ import pytest
 from bench.deployments import DEPLOYMENTS
 
 from upwash.cli.main import main
-from upwash.config import photo_legs
+from upwash.config.plan_photos import photo_legs
 from upwash.lab.scenario import read_scenario
 from upwash.lab.worlds import HELD_OUT, TODAYS, draw_world
 

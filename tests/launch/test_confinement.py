@@ -12,7 +12,7 @@ from threading import Thread
 import pytest
 from msgspec.structs import replace
 
-from upwash.config import DaemonConfig, read_daemon_config
+from upwash.config.daemon import DaemonConfig, read_daemon_config
 from upwash.core.admission.limits import DEFAULT_LIMITS, NO_LIMITS, Limits
 from upwash.errors import UsageError
 from upwash.launch.confinement import Confinement, find_confinement

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from upwash.config import DaemonConfig, read_daemon_config
+from upwash.config.daemon import DaemonConfig, read_daemon_config
 from upwash.errors import UsageError
 from upwash.launch import daemon_services
 from upwash.launch.confinement import Confinement

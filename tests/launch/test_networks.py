@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from upwash.config import drone_config
+from upwash.config.drone_file import drone_config
 from upwash.core.geo import Position
 from upwash.drone.networks import NoNetwork, PositionNetwork
 from upwash.errors import NetworkError

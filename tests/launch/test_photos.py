@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from tests.events import event
 
-from upwash.config import DroneConfig, drone_config
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import drone_config
 from upwash.errors import CameraError, UsageError
 from upwash.launch import cameras
 from upwash.launch.cameras import Look, NoCamera, look, needs_camera, opened_album

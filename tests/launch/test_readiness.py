@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from upwash.config import DroneConfig, drone_config
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import drone_config
 from upwash.errors import UpwashError
 from upwash.launch.heard import heard
 from upwash.launch.readiness import refusals, require_ready

@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 import pytest
 from tests.waiting import wait_for
 
-from upwash.config import UserConfig
+from upwash.config.user import UserConfig
 from upwash.errors import UsageError
 from upwash.launch.recipients import (
     CursorOnTarget,

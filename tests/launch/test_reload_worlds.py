@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.server.test_edge_server import IMAGES, Runtime
 
-from upwash.config import DaemonConfig
+from upwash.config.daemon import DaemonConfig
 from upwash.core.admission.admission import AdmissionController
 from upwash.core.admission.clients import Client
 from upwash.core.admission.server import ServerOffer

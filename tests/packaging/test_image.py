@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from upwash.config import read_daemon_config
+from upwash.config.daemon import read_daemon_config
 from upwash.errors import UsageError
 from upwash.missions.bundled import load_service_alone
 from upwash.packaging import contents

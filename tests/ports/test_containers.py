@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from upwash.config import RuntimeConfig
-from upwash.config.runtime import ContainerNetworkConfig, EngineConfig
+from upwash.config.runtime import ContainerNetworkConfig, EngineConfig, RuntimeConfig
 from upwash.core.admission.limits import DEFAULT_LIMITS, Limits
 from upwash.errors import EngineError, UsageError
 from upwash.ports import Program

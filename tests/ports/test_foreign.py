@@ -17,7 +17,7 @@ import msgspec
 import pytest
 from tests.children import expect_no_child
 
-from upwash.config import read_daemon_config
+from upwash.config.daemon import read_daemon_config
 from upwash.errors import InstanceError, LinkError, ServiceError, UsageError
 from upwash.missions.bundled import load_services
 from upwash.ports import InstanceSpec, Program

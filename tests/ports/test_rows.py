@@ -15,7 +15,9 @@ from tests.ports.steps import take_off
 from tests.scenarios import scenario
 from tests.surveys import SPOTS, transects, written
 
-from upwash.config import DroneConfig, read_drone_config, waypoints
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import read_drone_config
+from upwash.config.places import waypoints
 from upwash.core.geo import Position, Velocity
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.networks import NoNetwork

@@ -7,7 +7,8 @@ import msgspec
 import pytest
 
 from upwash.cli.main import main
-from upwash.config import DroneConfig, read_drone_config
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import read_drone_config
 from upwash.errors import UsageError
 from upwash.preflight.capacity import SLOWER, capacity_of
 

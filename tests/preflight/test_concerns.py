@@ -8,7 +8,9 @@ from typing import Any
 import msgspec
 import pytest
 
-from upwash.config import DroneConfig, drone_config, usable_s
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import drone_config
+from upwash.config.flight_times import usable_s
 from upwash.preflight.prediction import ALONE, AS_CONFIGURED, LOCAL_ONLY, Prediction, without
 from upwash.preflight.warnings import Belief, warnings
 from upwash.preflight.waypoints import ServerCoverage, farthest

@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeVar
 import msgspec
 import pytest
 
-from upwash.config import read_document
+from upwash.config.reading import read_document
 from upwash.drone.networks import NoNetwork
 from upwash.drone.server_session import ServerEndpoint
 from upwash.errors import InstanceError, LinkError, Refused, Unreachable, UsageError

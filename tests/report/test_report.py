@@ -19,7 +19,8 @@ import pytest
 from tests.scenarios import scenario as survey
 
 from upwash.cli.main import main
-from upwash.config import read_drone_config, server_areas, waypoints
+from upwash.config.drone_file import read_drone_config
+from upwash.config.places import server_areas, waypoints
 from upwash.core.geo import GeoPosition, LocalFrame, Position, ground_distance_m
 from upwash.core.knowledge.servers import State
 from upwash.errors import UsageError

@@ -14,7 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.config import read_daemon_config, read_drone_config
+from upwash.config.daemon import read_daemon_config
+from upwash.config.drone_file import read_drone_config
 from upwash.errors import ConfigError, DeclarationError, UsageError
 from upwash.missions.bundled import LoadedService, load_services
 from upwash.rpc.service import once, service, spec_of

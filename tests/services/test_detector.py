@@ -28,7 +28,7 @@ from tests.services.darknet_models import (
     yolov3_tiny,
 )
 
-from upwash.config import read_daemon_config
+from upwash.config.daemon import read_daemon_config
 from upwash.errors import ConfigError, InstanceError, ModelError, UsageError
 from upwash.missions.bundled import load_services
 from upwash.ports import InstanceSpec, Program

@@ -30,7 +30,7 @@ from bench.results import leave
 from msgspec.structs import replace
 from tests.sim.planting import DEFECTS, FOUND_BY_SEED, Defect, Planting, plant, planted, planting
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.core.admission.admission import AdmissionController
 from upwash.core.admission.clients import Client
 from upwash.core.admission.instances import StartInstance

@@ -12,7 +12,7 @@ from msgspec import structs
 from msgspec.structs import replace
 from tests.sim.planting import Planting, plant, planted, planting
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.core.call.call import Call
 from upwash.core.call.calls import Calls
 from upwash.core.geo import Position

@@ -7,7 +7,7 @@ import contextlib
 
 import pytest
 
-from upwash.config import FaultConfig
+from upwash.config.world import FaultConfig
 from upwash.core.geo import Circle, Position
 from upwash.errors import AutopilotOverruled
 from upwash.sim.autopilot import ModelAutopilot

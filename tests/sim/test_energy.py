@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.played import played
 
-from upwash.config import EnergyConfig
+from upwash.config.world import EnergyConfig
 from upwash.core.geo import Position, Velocity
 from upwash.core.vehicle.control import Control
 from upwash.eventlog.schema import EnergyUsed

@@ -10,7 +10,7 @@ import pytest
 from tests.events import written
 from tests.scenarios import fault, scenario, server
 
-from upwash.config import FaultConfig
+from upwash.config.world import FaultConfig
 from upwash.errors import UsageError
 from upwash.lab.run import Run, simulate
 from upwash.sim.faults import Faults

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from tests.events import written
 from tests.scenarios import fault, scenario, server
 
-from upwash.config import DroneConfig, Lie
+from upwash.config.drone import DroneConfig
+from upwash.config.world import Lie
 from upwash.lab.faults.promises import History, broken_promises
 from upwash.lab.observer import Observation
 from upwash.lab.run import Run, simulate, simulate_fleet

@@ -9,7 +9,7 @@ import pytest
 from tests.played import played
 from tests.scenarios import fault, scenario
 
-from upwash.config import FaultConfig
+from upwash.config.world import FaultConfig
 from upwash.core.geo import Position, distance_m, ground_distance_m
 from upwash.core.vehicle.control import Owner
 from upwash.errors import AutopilotError, AutopilotOverruled, AutopilotTimeout

@@ -11,7 +11,8 @@ import pytest
 from tests.played import played
 from tests.scenarios import scenario, server
 
-from upwash.config import NoiseConfig, server_truth
+from upwash.config.truth import server_truth
+from upwash.config.world import NoiseConfig
 from upwash.core.admission.clients import Client
 from upwash.core.operation import Operation
 from upwash.errors import InstanceError, Refused

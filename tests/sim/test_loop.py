@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from tests.scenarios import scenario
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.lab.run import simulate, simulate_drones
 from upwash.sim import turns
 from upwash.sim.loop import DeadlockError, LivelockError, OutsideWorldError, run_virtually

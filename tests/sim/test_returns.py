@@ -8,8 +8,9 @@ from typing import Any
 import pytest
 from tests.drone.test_safe_ends import SCENARIO
 
-from upwash.config import DroneConfig, FaultConfig
+from upwash.config.drone import DroneConfig
 from upwash.config.drone_file import drone_config
+from upwash.config.world import FaultConfig
 from upwash.core.geo import Position
 from upwash.errors import UsageError
 from upwash.eventlog import schema

@@ -15,9 +15,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.config import read_document, read_drone_config
 from upwash.config.daemon import read_daemon_config
+from upwash.config.drone_file import read_drone_config
 from upwash.config.kept_maps import CoverageFile
+from upwash.config.reading import read_document
 from upwash.errors import UpwashError
 from upwash.eventlog.log import read as read_log
 from upwash.mavlink.signing import key_of

@@ -21,8 +21,7 @@ from tests.system.container_site import (
 )
 from tests.system.daemons import MAX_MESSAGE_BYTES
 
-from upwash.config import RuntimeConfig
-from upwash.config.runtime import ContainerNetworkConfig, EngineConfig
+from upwash.config.runtime import ContainerNetworkConfig, EngineConfig, RuntimeConfig
 from upwash.core.admission.limits import Limits
 from upwash.real.instances.containers import reference_of
 from upwash.real.instances.docker.container import DockerSettings

@@ -15,7 +15,8 @@ import pytest
 from tests.programs import write_drone
 from tests.system.daemons import config, daemon
 
-from upwash.config import DroneConfig, read_drone_config
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import read_drone_config
 from upwash.launch.survey import survey_servers
 from upwash.real.network import SurveyFinding
 

@@ -16,8 +16,7 @@ from tests.system.cluster import OwnCluster, own_cluster
 from tests.system.container_site import Site
 from tests.system.daemons import MAX_MESSAGE_BYTES, shown
 
-from upwash.config import RuntimeConfig
-from upwash.config.runtime import ContainerNetworkConfig, EngineConfig
+from upwash.config.runtime import ContainerNetworkConfig, EngineConfig, RuntimeConfig
 from upwash.errors import EngineError, InstanceError
 from upwash.real.instances.lxd.engine import Engine
 from upwash.real.instances.lxd.instance import LxdInstance

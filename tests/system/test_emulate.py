@@ -23,7 +23,7 @@ from tests.system.thresholds import waits_at_their_threshold
 from tests.waiting import wait_for
 
 from upwash import read_log, read_result
-from upwash.config import read_drone_config
+from upwash.config.drone_file import read_drone_config
 from upwash.emulation.containers import require_containers
 from upwash.emulation.enclosure import clean, run_enclosed
 from upwash.emulation.request import emulated

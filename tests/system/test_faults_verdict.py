@@ -15,7 +15,8 @@ from tests.system.faults.mission import Spotter, heard
 from tests.system.faults.strikes import Strike
 from tests.system.faults.verdict import judge
 
-from upwash.config import read_drone_config, waypoints
+from upwash.config.drone_file import read_drone_config
+from upwash.config.places import waypoints
 from upwash.emulation.programs import write_config
 
 BEGAN_S = 1_800_000_000.0

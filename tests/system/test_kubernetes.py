@@ -17,7 +17,7 @@ import yaml
 from tests.children import children, processes
 from tests.waiting import wait_for
 
-from upwash.config import DaemonConfig, read_daemon_config
+from upwash.config.daemon import DaemonConfig, read_daemon_config
 from upwash.launch.daemon import _ENDING_S
 from upwash.real.trust.authority import make_keys
 

@@ -23,7 +23,7 @@ from tests.system.flying import Flying
 from tests.waiting import wait_for
 
 from upwash.cli.exit_codes import ExitCode
-from upwash.config import read_daemon_config
+from upwash.config.daemon import read_daemon_config
 from upwash.errors import Unreachable
 from upwash.real.link.link import GrpcDialer
 from upwash.real.trust.authority import make_keys

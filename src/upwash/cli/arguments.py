@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from msgspec.structs import replace
 
-from upwash.config import DroneConfig, file_notices
+from upwash.config.drone import DroneConfig
+from upwash.config.places import file_notices
 from upwash.core.policies.names import POLICIES, is_own
 from upwash.errors import UsageError
 from upwash.mavlink.connection import parse_connection

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from upwash.cli.arguments import OneOf, figures_of, figures_with, flown_by, option, reads, seeds_of
-from upwash.config import read_drone_config, refuse_several
+from upwash.config.drone_file import read_drone_config, refuse_several
 from upwash.errors import UsageError
 from upwash.lab.campaigns.campaign import here_first
 from upwash.lab.run import renders_photos

@@ -17,7 +17,9 @@ from rich.console import Console
 
 from upwash.cli.arguments import Live
 from upwash.cli.fly import fly_with_progress
-from upwash.config import DroneConfig, MissionConfig, PhotosConfig, read_drone_config, told_in_numbers
+from upwash.config.drone import DroneConfig, MissionConfig, PhotosConfig
+from upwash.config.drone_file import read_drone_config
+from upwash.config.flight_times import told_in_numbers
 from upwash.core.geo import Position, ground_distance_m
 from upwash.eventlog import schema
 from upwash.eventlog.log import EventLog

@@ -19,7 +19,8 @@ from rich.table import Table
 from upwash.cli.arguments import Live
 from upwash.cli.demonstration import filled_in, ready_daemons, score_photos
 from upwash.cli.fly import shown_live
-from upwash.config import DroneConfig, MissionConfig, waypoints
+from upwash.config.drone import DroneConfig, MissionConfig
+from upwash.config.places import waypoints
 from upwash.core.geo import Position
 from upwash.emulation.programs import write_config
 from upwash.errors import MissionStopped, UsageError

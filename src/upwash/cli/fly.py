@@ -32,7 +32,10 @@ from upwash.cli.arguments import (
     writes,
 )
 from upwash.cli.exit_codes import MEANINGS
-from upwash.config import DroneConfig, never_offloaded, read_drone_config, refuse_several, waypoints
+from upwash.config.checks import never_offloaded
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import read_drone_config, refuse_several
+from upwash.config.places import waypoints
 from upwash.drone.speed import photo_doubts
 from upwash.errors import MissionStopped, NotKept, UsageError
 from upwash.eventlog import log as event_log

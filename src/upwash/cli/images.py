@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from upwash.cli.arguments import config_of
-from upwash.config import read_daemon_config
+from upwash.config.daemon import read_daemon_config
 from upwash.packaging.shipping import list_images
 from upwash.support.progress import work
 from upwash.support.tables import show_table

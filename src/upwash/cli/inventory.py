@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from upwash.config import ListedServer
+from upwash.config.inventory import ListedServer
 from upwash.core.admission.clients import ServerStatus
 from upwash.errors import LinkError
 from upwash.launch.in_force import CONFIGURATION, KEYS, REVOCATIONS

@@ -6,7 +6,7 @@ import argparse
 import asyncio
 
 from upwash.cli.arguments import announce, fills, option, read_path, reads, repeated
-from upwash.config import read_daemon_config
+from upwash.config.daemon import read_daemon_config
 from upwash.packaging.contents import extra_of
 from upwash.packaging.image import Format, Recipe, package
 from upwash.packaging.shipping import find_service, import_image

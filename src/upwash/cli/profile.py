@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from upwash.cli.arguments import option, reads, writes
-from upwash.config import DroneConfig, ServerConfig
+from upwash.config.drone import DroneConfig, ServerConfig
 from upwash.config.drone_file import drone_config
 from upwash.config.reading import read_document
 from upwash.config.values import START_TIMEOUT_S

@@ -6,7 +6,8 @@ import argparse
 import asyncio
 
 from upwash.cli.arguments import config_of, new_run_folder, option, writes
-from upwash.config import drone_config, read_document, refuse_several
+from upwash.config.drone_file import drone_config, refuse_several
+from upwash.config.reading import read_document
 
 _NO_MISSION = {"waypoints_m": [[0, 0]]}
 

@@ -26,7 +26,7 @@ from upwash.cli.arguments import (
     whole,
     writes,
 )
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.errors import UpwashError, UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.kept import lines_of

@@ -16,7 +16,7 @@ from rich.text import Text
 
 from upwash.cli.arguments import OneOf, announce, option, reads
 from upwash.cli.inventory import DIGITS, SOON_DAYS, print_views, views
-from upwash.config import ListedServer, read_inventory
+from upwash.config.inventory import ListedServer, read_inventory
 from upwash.core.admission.clients import (
     AccountStatus,
     DroneUsage,

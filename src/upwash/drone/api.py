@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable
 from typing import Any, Final, ParamSpec, TypeVar
 
-from upwash.config import DroneConfig, SecondLook, ending
+from upwash.config.drone import DroneConfig, SecondLook
+from upwash.config.places import ending
 from upwash.core.geo import GeoPosition, LocalFrame, Position, Waypoint
 from upwash.core.operation import Operation
 from upwash.drone.answered_photos import AnsweredPhotos

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Literal
 
-from upwash.config import SafeEnd
+from upwash.config.drone import SafeEnd
 from upwash.drone.homecoming import Homecoming
 from upwash.errors import AutopilotError, AutopilotOverruled
 from upwash.eventlog import schema

@@ -8,7 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from msgspec import Struct, structs
 
-from upwash.config import DroneConfig, ServiceConfig, server_areas
+from upwash.config.drone import DroneConfig, ServiceConfig
+from upwash.config.places import server_areas
 from upwash.config.traces import read_service_times
 from upwash.config.truth import keys_of
 from upwash.core.geo import Waypoint

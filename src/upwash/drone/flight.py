@@ -12,15 +12,8 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from upwash.config import (
-    DroneConfig,
-    demand_map_of,
-    ending,
-    geofence,
-    leaving,
-    planned_way,
-    server_areas,
-)
+from upwash.config.drone import DroneConfig
+from upwash.config.places import demand_map_of, ending, geofence, leaving, planned_way, server_areas
 from upwash.core.camera.georeference import Ground, level_ground
 from upwash.core.geo import Circle, Position, rounded
 from upwash.core.planning.acts import Acts

@@ -11,7 +11,9 @@ from dataclasses import replace
 import msgspec
 from msgspec import Struct
 
-from upwash.config import DroneConfig, MissionConfig, PlanFile, altitudes_above_sea, is_planned_home
+from upwash.config.drone import DroneConfig, MissionConfig
+from upwash.config.places import altitudes_above_sea, is_planned_home
+from upwash.config.values import PlanFile
 from upwash.core.geo import Position, ground_distance_m
 from upwash.errors import AutopilotRefused
 from upwash.plans import FlightPlan, PlannedWaypoint

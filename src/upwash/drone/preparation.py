@@ -8,21 +8,17 @@ from typing import Literal, get_args
 from msgspec import Struct
 from msgspec.structs import replace
 
-from upwash.config import (
-    DroneConfig,
-    ServerConfig,
-    ServiceConfig,
+from upwash.config.checks import only_on_servers
+from upwash.config.drone import DroneConfig, ServerConfig, ServiceConfig
+from upwash.config.flight_times import finish_by_s, pace_in_numbers, told_pace
+from upwash.config.places import (
     coverage_of,
     ending,
-    finish_by_s,
     geofence,
     leaving,
-    only_on_servers,
-    pace_in_numbers,
     server_areas,
     stands,
     sweeps_of,
-    told_pace,
     waypoints,
 )
 from upwash.config.values import MDNS

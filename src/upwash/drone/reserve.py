@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 
-from upwash.config import DroneConfig, pace_in_numbers, told_pace
+from upwash.config.drone import DroneConfig
+from upwash.config.flight_times import pace_in_numbers, told_pace
 from upwash.core.geo import Position
 from upwash.core.vehicle.energy import FlightEnergy, FlightReport, Margin, Reserve, in_battery
 from upwash.drone.homecoming import Homecoming

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from upwash.config import DroneConfig, movable_waypoints, waypoints
+from upwash.config.drone import DroneConfig
+from upwash.config.places import movable_waypoints, waypoints
 from upwash.core.geo import Waypoint
 from upwash.core.planning.order import Order
 from upwash.core.vehicle.control import Owner

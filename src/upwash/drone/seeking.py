@@ -19,7 +19,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
-from upwash.config import DroneConfig, ending, server_areas
+from upwash.config.drone import DroneConfig
+from upwash.config.places import ending, server_areas
 from upwash.core.geo import Circle, Position, Waypoint
 from upwash.core.operation import Operation
 from upwash.core.planning.answer_stops import AnswerStops, longer_m

@@ -16,7 +16,7 @@ from collections.abc import Coroutine, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.core.geo import Position, Waypoint, distance_m
 from upwash.drone.answers import AnswerAction, one_answered
 from upwash.drone.late_acts import Onwards

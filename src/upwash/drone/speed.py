@@ -11,7 +11,9 @@ from collections.abc import Iterator
 
 from msgspec import Struct
 
-from upwash.config import DroneConfig, photo_ground, photo_legs
+from upwash.config.drone import DroneConfig
+from upwash.config.photo_ground import photo_ground
+from upwash.config.plan_photos import photo_legs
 
 SHARP_PX, BLURRED_PX = 0.5, 1.0
 

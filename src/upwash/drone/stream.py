@@ -14,7 +14,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.core.operation import Operation
 from upwash.drone.pending import Hearing
 from upwash.drone.preparation import (

@@ -15,8 +15,8 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from upwash.config import DaemonConfig, RuntimeConfig
-from upwash.config.runtime import ContainerNetworkConfig
+from upwash.config.daemon import DaemonConfig
+from upwash.config.runtime import ContainerNetworkConfig, RuntimeConfig
 from upwash.emulation.enclosure import MARK, enter_groups
 from upwash.emulation.namespaces import command, make_quiet, require_tools
 from upwash.emulation.programs import Computers

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.core.geo import LocalFrame, Position
 from upwash.emulation.field import Field, drone_namespace
 from upwash.emulation.namespaces import add_route, join_by_cable

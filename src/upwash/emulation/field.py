@@ -6,7 +6,8 @@ import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from upwash.config import DroneConfig, ServerConfig, server_position
+from upwash.config.drone import DroneConfig, ServerConfig
+from upwash.config.places import server_position
 from upwash.core.geo import Position
 from upwash.emulation.namespaces import LinkEnd
 

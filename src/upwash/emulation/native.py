@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from upwash.config import ServerConfig, true_range_m
+from upwash.config.drone import ServerConfig
+from upwash.config.places import true_range_m
 from upwash.errors import UsageError
 
 _BUILT = Path(__file__).parents[3] / "native" / "build"

@@ -11,22 +11,13 @@ from typing import Any
 import msgspec
 import tomli_w
 
-from upwash.config import (
-    CameraConfig,
-    DaemonConfig,
-    DaemonKeysConfig,
-    DroneConfig,
-    IdentityConfig,
-    ImageConfig,
-    KeysConfig,
-    PeerConfig,
-    RuntimeConfig,
-    ServerConfig,
-    server_truth,
-    told_in_numbers,
-)
+from upwash.config.daemon import DaemonConfig, DaemonKeysConfig, IdentityConfig, ImageConfig, PeerConfig
+from upwash.config.drone import CameraConfig, DroneConfig, ServerConfig
+from upwash.config.flight_times import told_in_numbers
 from upwash.config.kept_maps import CoverageFile, DemandFile
-from upwash.config.values import PlanFile
+from upwash.config.runtime import RuntimeConfig
+from upwash.config.truth import server_truth
+from upwash.config.values import KeysConfig, PlanFile
 from upwash.emulation.field import Field, drone_namespace, server_namespace
 from upwash.emulation.namespaces import inside, make_namespace
 from upwash.emulation.request import server_paces

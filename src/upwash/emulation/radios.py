@@ -12,7 +12,7 @@ import subprocess
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TypeAlias
 
-from upwash.config import true_range_m
+from upwash.config.places import true_range_m
 from upwash.core.geo import Position, ground_distance_m
 from upwash.emulation.field import EmulatedLink
 from upwash.emulation.namespaces import LinkEnd, command, give_address, join_by_cable

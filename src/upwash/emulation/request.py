@@ -9,19 +9,10 @@ from typing import Literal
 
 import msgspec
 
-from upwash.config import (
-    DroneConfig,
-    HomeConfig,
-    NetworkConfig,
-    Presence,
-    ServerConfig,
-    ServerTruth,
-    ServiceConfig,
-    fleet_of,
-    presences,
-    read_drone_config,
-    server_truth,
-)
+from upwash.config.drone import DroneConfig, NetworkConfig, ServerConfig, ServiceConfig
+from upwash.config.drone_file import Presence, fleet_of, presences, read_drone_config
+from upwash.config.truth import ServerTruth, server_truth
+from upwash.config.values import HomeConfig
 from upwash.errors import UsageError
 from upwash.launch.processes import INTERRUPTED
 from upwash.support.output_files import write_file

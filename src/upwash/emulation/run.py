@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 from rich.console import Console
 
-from upwash.config import read_drone_config
+from upwash.config.drone_file import read_drone_config
 from upwash.emulation.enclosure import run_enclosed
 from upwash.emulation.native import native_program, wifi_of
 from upwash.emulation.request import (

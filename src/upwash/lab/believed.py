@@ -12,8 +12,9 @@ from collections.abc import Sequence
 
 from msgspec.structs import replace
 
-from upwash.config import DroneConfig, EventConfig, NoiseConfig, demand_map_of, waypoints
-from upwash.config.world import EventAreaConfig, TruthConfig
+from upwash.config.drone import DroneConfig
+from upwash.config.places import demand_map_of, waypoints
+from upwash.config.world import EventAreaConfig, EventConfig, NoiseConfig, TruthConfig
 
 _PHASES = (0.5, 1 / 6, 5 / 6)
 _HERE_M = 0.01

@@ -10,15 +10,10 @@ from statistics import fmean
 
 from msgspec import structs
 
-from upwash.config import (
-    DroneConfig,
-    PolicyConfig,
-    ServerTruth,
-    ServiceConfig,
-    only_on_servers,
-    server_places,
-    server_truth,
-)
+from upwash.config.checks import only_on_servers
+from upwash.config.drone import DroneConfig, PolicyConfig, ServiceConfig
+from upwash.config.places import server_places
+from upwash.config.truth import ServerTruth, server_truth
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.operation import Operation
 from upwash.core.planning.schedule import ComingCall, Offer

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.config.problems import unknown
 from upwash.core.policies.names import POLICIES
 from upwash.errors import UsageError

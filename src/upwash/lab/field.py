@@ -6,7 +6,8 @@ import contextlib
 import functools
 from collections.abc import AsyncIterator, Mapping
 
-from upwash.config import DroneConfig, ServerConfig, ServerTruth, server_truth
+from upwash.config.drone import DroneConfig, ServerConfig
+from upwash.config.truth import ServerTruth, server_truth
 from upwash.core.admission.admission import AdmissionController
 from upwash.core.admission.clients import Client
 from upwash.core.admission.server import ServerOffer

@@ -11,7 +11,8 @@ from statistics import fmean
 
 import msgspec
 
-from upwash.config import DroneConfig, PolicyConfig, Presence, fleet_of, presences
+from upwash.config.drone import DroneConfig, PolicyConfig
+from upwash.config.drone_file import Presence, fleet_of, presences
 from upwash.eventlog.results import EnergyTotals, Totals
 from upwash.lab.bounds import bound_of, bounds_of
 from upwash.lab.least_time import FleetBound

@@ -11,25 +11,21 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from upwash.config import (
-    DroneConfig,
-    Presence,
-    VehicleConfig,
+from upwash.config.drone import DroneConfig, VehicleConfig
+from upwash.config.drone_file import Presence, fleet_of, presences
+from upwash.config.flight_times import pace_in_numbers
+from upwash.config.places import (
     coverage_of,
-    fleet_of,
     frame_of,
-    pace_in_numbers,
-    presences,
-    read_battery,
-    read_wind,
     server_places,
-    server_truth,
     stands,
     track_of,
     true_areas,
     true_range_m,
     waypoints,
 )
+from upwash.config.traces import read_battery, read_wind
+from upwash.config.truth import server_truth
 from upwash.core.geo import Position, Reach, Waypoint
 from upwash.core.knowledge.coverage import Coverage
 from upwash.core.planning.demand_map import DemandMap

@@ -11,8 +11,10 @@ from typing import Any
 
 import msgspec
 
-from upwash.config import Document, DroneConfig, drone_config, impossible_values, read_document
-from upwash.config.reading import refuse_first
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import drone_config
+from upwash.config.problems import impossible_values
+from upwash.config.reading import Document, read_document, refuse_first
 from upwash.errors import ConfigError
 
 _DRONES = "drones"

@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-from upwash.config import DroneConfig, coverage_kept, demands_kept, drone_config, fleet_of
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import drone_config, fleet_of
+from upwash.config.places import coverage_kept, demands_kept
 from upwash.errors import UsageError
 from upwash.eventlog.results import RunResult
 from upwash.eventlog.schema import Event

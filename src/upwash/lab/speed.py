@@ -22,7 +22,8 @@ from typing import Protocol
 from msgspec import Struct
 from msgspec.structs import replace
 
-from upwash.config import DroneConfig, waypoints
+from upwash.config.drone import DroneConfig
+from upwash.config.places import waypoints
 from upwash.core.geo import distance_m, row_of
 from upwash.drone.speed import SpeedLimit, speed_limits
 from upwash.errors import UpwashError

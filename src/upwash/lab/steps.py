@@ -10,7 +10,7 @@ from collections.abc import Callable
 from queue import SimpleQueue
 from typing import Any, NamedTuple, cast
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.core.policies.policy import Policy
 from upwash.drone.offloading import now_s
 from upwash.drone.own_policy import policy_of

@@ -12,7 +12,7 @@ import random
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from upwash.config import Document
+from upwash.config.reading import Document
 
 HELD_OUT = range(100_001, 101_001)  # no policy is tuned on these
 LONGEST_FAULT_S = 10_000.0  # longer than any of these missions

@@ -16,7 +16,7 @@ from types import ModuleType
 
 import msgspec
 
-from upwash.config import CameraConfig, DroneConfig
+from upwash.config.drone import CameraConfig, DroneConfig
 from upwash.core.camera.lens import Lens
 from upwash.core.geo import Position
 from upwash.errors import CameraError, UsageError

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
-from upwash.config import DaemonConfig, RuntimeConfig
-from upwash.config.daemon import ImageConfig
+from upwash.config.daemon import DaemonConfig, ImageConfig
+from upwash.config.runtime import RuntimeConfig
 from upwash.core.admission.limits import CUDA_MEMORY_BYTES, DEFAULT_LIMITS, Limits
 from upwash.errors import UsageError
 from upwash.real.instances.cards import device_files, has_card

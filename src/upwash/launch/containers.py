@@ -6,7 +6,8 @@ import contextlib
 from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 
-from upwash.config import DaemonConfig, RuntimeConfig
+from upwash.config.daemon import DaemonConfig
+from upwash.config.runtime import RuntimeConfig
 from upwash.core.admission.limits import Limits
 from upwash.ports import InstanceSpec
 from upwash.real.instances.containers import ContainerRuntime, reference_of

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from upwash.config import DaemonConfig
+from upwash.config.daemon import DaemonConfig
 from upwash.core.admission.admission import AdmissionController, AdmissionSettings
 from upwash.core.admission.clients import Client
 from upwash.errors import Refused, UpwashError, UsageError

@@ -9,7 +9,7 @@ import signal
 import socket
 from dataclasses import dataclass
 
-from upwash.config import DaemonConfig
+from upwash.config.daemon import DaemonConfig
 from upwash.core.admission.clients import Client
 from upwash.core.admission.instances import InstanceState
 from upwash.errors import UpwashError

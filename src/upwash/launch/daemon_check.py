@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from upwash.config import DaemonConfig, DaemonKeysConfig, read_daemon_config
+from upwash.config.daemon import DaemonConfig, DaemonKeysConfig, read_daemon_config
 from upwash.errors import UpwashError
 from upwash.launch.confinement import Confinement
 from upwash.launch.daemon_keys import DaemonKeys

@@ -9,7 +9,7 @@ import os
 from datetime import UTC, datetime, timedelta
 from typing import NoReturn
 
-from upwash.config import DaemonConfig, DaemonKeysConfig
+from upwash.config.daemon import DaemonConfig, DaemonKeysConfig
 from upwash.errors import CredentialsError
 from upwash.ports import Link
 from upwash.real.link.link import GrpcDialer

@@ -20,8 +20,7 @@ from typing import Any, NoReturn, Protocol, TypeVar
 
 from msgspec.structs import replace
 
-from upwash.config import DaemonConfig, DaemonKeysConfig
-from upwash.config.daemon import daemon_config
+from upwash.config.daemon import DaemonConfig, DaemonKeysConfig, daemon_config
 from upwash.config.reading import MOST_BYTES, document_of
 from upwash.core.admission.server import ServerOffer
 from upwash.core.admission.watchdog import CALL_LIMIT_S

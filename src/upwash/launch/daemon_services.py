@@ -20,8 +20,7 @@ from typing import Any, TypeAlias
 
 import msgspec
 
-from upwash.config import DaemonConfig
-from upwash.config.daemon import ImageConfig
+from upwash.config.daemon import DaemonConfig, ImageConfig
 from upwash.config.values import SettingsTable
 from upwash.errors import UpwashError, UsageError
 from upwash.launch.confinement import Confinement

@@ -6,8 +6,10 @@ import contextlib
 import functools
 from collections.abc import Callable, Sequence
 
-from upwash.config import DroneConfig, ServerConfig, is_on_this_machine, server_truth, true_areas
-from upwash.config.values import MDNS
+from upwash.config.drone import DroneConfig, ServerConfig
+from upwash.config.places import true_areas
+from upwash.config.truth import server_truth
+from upwash.config.values import MDNS, is_on_this_machine
 from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.drone.networks import NetworkCell, NoNetwork, PositionNetwork
 from upwash.errors import CredentialsError, UsageError

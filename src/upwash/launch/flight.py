@@ -10,14 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from msgspec.structs import replace
 
-from upwash.config import (
-    DroneConfig,
-    UserConfig,
-    altitudes_above_sea,
-    coverage_kept,
-    demands_kept,
-    unsigned_port,
-)
+from upwash.config.drone import DroneConfig, unsigned_port
+from upwash.config.places import altitudes_above_sea, coverage_kept, demands_kept
+from upwash.config.user import UserConfig
 from upwash.core.camera.georeference import Ground, level_ground
 from upwash.core.geo import Position
 from upwash.drone.flight import Flight, Ports

@@ -11,7 +11,8 @@ import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from upwash.config import DroneConfig, pace_in_numbers
+from upwash.config.drone import DroneConfig
+from upwash.config.flight_times import pace_in_numbers
 from upwash.core.geo import LocalFrame, Position
 from upwash.errors import UpwashError, UsageError
 from upwash.support.lines import lines_of

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from upwash.config import DroneConfig, ServerConfig
+from upwash.config.drone import DroneConfig, ServerConfig
 from upwash.config.values import MDNS
 from upwash.drone.networks import NoNetwork
 from upwash.drone.server_session import ServerEndpoint

@@ -11,7 +11,8 @@ from collections.abc import Callable, Iterable, Iterator
 from datetime import UTC, datetime, timedelta
 from typing import NamedTuple
 
-from upwash.config import CameraConfig, DroneConfig, UserConfig
+from upwash.config.drone import CameraConfig, DroneConfig
+from upwash.config.user import UserConfig
 from upwash.errors import UpwashError
 from upwash.launch.cameras import camera_without_device, lens_of, needs_camera
 from upwash.launch.drone import (

@@ -25,7 +25,7 @@ from xml.etree import ElementTree
 
 import msgspec
 
-from upwash.config import UserConfig
+from upwash.config.user import UserConfig
 from upwash.errors import ConfigError, UpwashError, UsageError
 from upwash.support.background import in_thread
 from upwash.support.input_files import read_named_text

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.core.geo import LocalFrame
 from upwash.core.knowledge.servers import State
 from upwash.drone.preparation import CallPorts

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import msgspec
 
-from upwash.config import ListedServer, is_address, is_on_this_machine
+from upwash.config.inventory import ListedServer
+from upwash.config.values import is_address, is_on_this_machine
 from upwash.errors import LinkError, Unreachable, UsageError
 from upwash.real.link.link import GrpcDialer
 from upwash.real.trust.credentials import read_credentials

@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from upwash.config import DroneConfig, ServerConfig
+from upwash.config.drone import DroneConfig, ServerConfig
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.operation import ON_DRONE
 from upwash.core.policies.policy import Deadline

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from prometheus_client import CollectorRegistry
 from prometheus_client.exposition import choose_encoder
 
-from upwash.config import is_on_this_machine
+from upwash.config.values import is_on_this_machine
 from upwash.core.admission.limits import Allowance
 from upwash.errors import UsageError
 from upwash.support.addresses import listening_at, names_this_machine

@@ -6,7 +6,10 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from upwash.config import ImageConfig, ServiceConfig, SettingsTable, convert
+from upwash.config.daemon import ImageConfig
+from upwash.config.drone import ServiceConfig
+from upwash.config.reading import convert
+from upwash.config.values import SettingsTable
 from upwash.errors import UsageError
 from upwash.ports import Program
 from upwash.rpc.service import ServiceSpec, load_service, spec_of

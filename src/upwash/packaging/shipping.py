@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from upwash.config import DaemonConfig, RuntimeConfig
+from upwash.config.daemon import DaemonConfig
+from upwash.config.runtime import RuntimeConfig
 from upwash.errors import UsageError
 from upwash.launch.containers import docker_engine, docker_images
 from upwash.missions.bundled import LoadedService, bundled_service, load_service_alone, load_services

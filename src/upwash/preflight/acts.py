@@ -8,7 +8,9 @@ from statistics import fmean
 
 from msgspec import Struct
 
-from upwash.config import Document, DroneConfig, waypoints
+from upwash.config.drone import DroneConfig
+from upwash.config.places import waypoints
+from upwash.config.reading import Document
 from upwash.lab.believed import demand_chances
 from upwash.lab.campaigns.campaign import Fly
 from upwash.preflight.prediction import AS_CONFIGURED, LOCAL_ONLY, Prediction, changed, minutes, predict

@@ -7,7 +7,10 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from upwash.config import Document, DroneConfig, drone_config, only_on_servers
+from upwash.config.checks import only_on_servers
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import drone_config
+from upwash.config.reading import Document
 from upwash.drone.preparation import make_estimates
 from upwash.eventlog import schema
 from upwash.eventlog.narration import at_places

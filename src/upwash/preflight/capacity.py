@@ -15,7 +15,8 @@ from msgspec import Struct
 from rich.console import Console
 from rich.table import Table
 
-from upwash.config import DroneConfig, Presence
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import Presence
 from upwash.errors import UpwashError, UsageError
 from upwash.lab.run import Run, simulate_fleet
 from upwash.lab.scenario import with_policy

@@ -9,17 +9,11 @@ from pathlib import Path
 import msgspec
 from msgspec import UNSET, Struct, UnsetType
 
-from upwash.config import (
-    Document,
-    DroneConfig,
-    coverage_of,
-    drone_config,
-    file_notices,
-    read_document,
-    server_areas,
-    usable_s,
-    waypoints,
-)
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import drone_config
+from upwash.config.flight_times import usable_s
+from upwash.config.places import coverage_of, file_notices, server_areas, waypoints
+from upwash.config.reading import Document, read_document
 from upwash.core.planning.order import Order
 from upwash.drone.deadlines import require_deadlines
 from upwash.drone.preparation import make_estimates, order_of, unkept_deadlines

@@ -11,7 +11,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from upwash.config import DroneConfig, drone_config, told_pace
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import drone_config
+from upwash.config.flight_times import told_pace
 from upwash.eventlog.narration import spans
 from upwash.lab.campaigns.campaign import Fly
 from upwash.lab.figures import FigureFiles

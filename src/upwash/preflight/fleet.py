@@ -12,16 +12,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from upwash.config import (
-    Document,
-    DroneConfig,
-    coverage_of,
-    drone_config,
-    file_notices,
-    fleet_of,
-    server_areas,
-    waypoints,
-)
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import drone_config, fleet_of
+from upwash.config.places import coverage_of, file_notices, server_areas, waypoints
+from upwash.config.reading import Document
 from upwash.drone.preparation import order_of
 from upwash.eventlog import schema
 from upwash.eventlog.narration import spans

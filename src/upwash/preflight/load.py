@@ -12,7 +12,9 @@ from collections.abc import Mapping, Sequence
 
 from msgspec import Struct
 
-from upwash.config import DroneConfig, photo_legs, waypoints
+from upwash.config.drone import DroneConfig
+from upwash.config.places import waypoints
+from upwash.config.plan_photos import photo_legs
 from upwash.core.geo import Via, Waypoint, distance_m
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.operation import Operation

@@ -19,7 +19,9 @@ from statistics import fmean
 
 from msgspec import Struct
 
-from upwash.config import Document, DroneConfig, waypoints
+from upwash.config.drone import DroneConfig
+from upwash.config.places import waypoints
+from upwash.config.reading import Document
 from upwash.core.geo import Position, ground_distance_m
 from upwash.errors import UsageError
 from upwash.lab.campaigns.campaign import Fly

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from upwash.config import Document, DroneConfig
+from upwash.config.drone import DroneConfig
+from upwash.config.reading import Document
 from upwash.lab.campaigns.campaign import Fly, fly_sweep
 from upwash.lab.campaigns.sweep import Combination, ParameterSweep
 from upwash.support.confidence import Mean

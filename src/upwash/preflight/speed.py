@@ -7,7 +7,10 @@ from collections.abc import Iterator
 from msgspec import Struct
 from msgspec.structs import replace
 
-from upwash.config import FASTEST_M_S, DroneConfig, PhotoLeg, photo_ground, photo_legs
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import FASTEST_M_S
+from upwash.config.photo_ground import photo_ground
+from upwash.config.plan_photos import PhotoLeg, photo_legs
 from upwash.drone.speed import SHARP_PX
 from upwash.errors import UpwashError
 from upwash.lab.flown_rows import RowAnswers, RowForecast

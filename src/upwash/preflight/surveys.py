@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.errors import UsageError
 from upwash.support.sentences import say
 from upwash.support.tables import show_table

@@ -6,20 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from msgspec import Struct
 
-from upwash.config import (
-    DroneConfig,
-    EnergyConfig,
-    PolicyConfig,
-    ServerConfig,
-    finish_by_s,
-    never_made_smaller,
-    never_offloaded,
-    only_on_servers,
-    reserve_percent,
-    unsigned_port,
-    usable_s,
-)
+from upwash.config.checks import never_made_smaller, never_offloaded, only_on_servers
+from upwash.config.drone import DroneConfig, PolicyConfig, ServerConfig, unsigned_port
+from upwash.config.flight_times import finish_by_s, reserve_percent, usable_s
 from upwash.config.values import MDNS
+from upwash.config.world import EnergyConfig
 from upwash.core.policies.policy import WaitRule
 from upwash.drone.speed import photo_doubts
 from upwash.preflight.prediction import AS_CONFIGURED, LOCAL_ONLY, Prediction, without

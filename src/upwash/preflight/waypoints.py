@@ -7,7 +7,8 @@ from typing import Any
 
 from msgspec import Struct
 
-from upwash.config import DroneConfig, waypoints
+from upwash.config.drone import DroneConfig
+from upwash.config.places import waypoints
 from upwash.core.geo import Circle, Position, Reach, ground_distance_m
 from upwash.core.knowledge import coverage as measured
 from upwash.core.vehicle.way_home import ARDUCOPTER, UNKNOWN, WayHome, descent_s, time_home_s

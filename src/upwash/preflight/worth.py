@@ -13,7 +13,10 @@ from pathlib import Path
 from msgspec import Struct
 from msgspec.structs import replace
 
-from upwash.config import Document, DroneConfig, drone_config, only_on_servers
+from upwash.config.checks import only_on_servers
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import drone_config
+from upwash.config.reading import Document
 from upwash.errors import ConfigError
 from upwash.lab.campaigns.campaign import Fly
 from upwash.preflight.acts import events_share

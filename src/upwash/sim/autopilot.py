@@ -10,7 +10,7 @@ from typing import NoReturn
 
 from msgspec.structs import replace
 
-from upwash.config import FaultConfig
+from upwash.config.world import FaultConfig
 from upwash.core.geo import Circle, EarthPosition, LocalFrame, Position, Velocity, distance_m
 from upwash.core.planning.legs import Pace
 from upwash.core.vehicle.control import Control

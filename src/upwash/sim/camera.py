@@ -9,7 +9,8 @@ import random
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from upwash.config import CameraConfig, EventConfig, ObjectConfig
+from upwash.config.drone import CameraConfig
+from upwash.config.world import EventConfig, ObjectConfig
 from upwash.core.camera.lens import Lens
 from upwash.core.geo import Position, Waypoint, ground_distance_m
 from upwash.ports import Photo

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import random
 
-from upwash.config import DroneConfig, NoiseConfig
+from upwash.config.drone import DroneConfig
+from upwash.config.world import NoiseConfig
 
 
 class Chance:

@@ -15,7 +15,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 
-from upwash.config import EnergyConfig
+from upwash.config.world import EnergyConfig
 from upwash.core.geo import Velocity
 from upwash.eventlog.schema import EnergyUsed
 from upwash.sim.over_time import OverTime

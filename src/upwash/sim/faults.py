@@ -16,7 +16,7 @@ from typing import Any
 
 import msgspec
 
-from upwash.config import FaultConfig, Lie
+from upwash.config.world import FaultConfig, Lie
 from upwash.core.admission.clients import Client
 from upwash.errors import Refused, Unreachable, UsageError
 from upwash.rpc.protocol import (

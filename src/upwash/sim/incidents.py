@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from upwash.config import FaultConfig
+from upwash.config.world import FaultConfig
 from upwash.core.vehicle.control import Heartbeat
 from upwash.sim.energy import EnergyMeter
 from upwash.sim.link import Observe

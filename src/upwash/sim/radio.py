@@ -13,8 +13,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Protocol
 
-from upwash.config import ServerTruth
 from upwash.config.traces import Stamp, Trace, read_goodput_trace, stamp_of
+from upwash.config.truth import ServerTruth
 from upwash.core.geo import Position
 from upwash.errors import UsageError
 from upwash.support.input_files import read_file, text_of

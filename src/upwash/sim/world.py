@@ -6,8 +6,9 @@ import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from statistics import fmean
 
-from upwash.config import NoiseConfig, ServerTruth, ServiceConfig
-from upwash.config.truth import times_of
+from upwash.config.drone import ServiceConfig
+from upwash.config.truth import ServerTruth, times_of
+from upwash.config.world import NoiseConfig
 from upwash.core.geo import Position, Reach, ground_distance_m
 from upwash.core.operation import Operation
 from upwash.errors import InstanceError

@@ -11,7 +11,7 @@ from tests.played import played
 from tests.ports.memory import AGILE, HASTY, HOME, driven
 from tests.ports.steps import take_off
 
-from upwash.config import FaultConfig
+from upwash.config.world import FaultConfig
 from upwash.core.geo import Circle, LocalFrame, Position, distance_m, ground_distance_m
 from upwash.errors import AutopilotOverruled, AutopilotRefused
 from upwash.ports import Autopilot

@@ -15,8 +15,7 @@ from tests.doors import led
 from tests.engines import OwnEngine
 from tests.podman import OwnPodman
 
-from upwash.config import RuntimeConfig
-from upwash.config.runtime import ContainerNetworkConfig, EngineConfig
+from upwash.config.runtime import ContainerNetworkConfig, EngineConfig, RuntimeConfig
 from upwash.core.operation import Operation
 from upwash.errors import InstanceError, LinkError, NoLease, NotBegun, UsageError
 from upwash.ports import AnsweredCall, Dialer, InstanceSpec, Program, Runtime

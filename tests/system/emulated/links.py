@@ -13,7 +13,8 @@ from pathlib import Path
 
 import msgspec
 
-from upwash.config import DroneConfig, read_drone_config
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import read_drone_config
 from upwash.core.geo import Position
 from upwash.emulation.emulate import make_radio
 from upwash.emulation.enclosure import settle_in

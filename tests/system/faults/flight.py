@@ -18,7 +18,7 @@ from tests.system.faults.lateness import noting_lateness
 from tests.system.faults.plan import draw
 from tests.system.faults.strikes import Strike, Striker
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.emulation.emulate import Mover
 from upwash.emulation.enclosure import settle_in

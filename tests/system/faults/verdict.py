@@ -14,7 +14,11 @@ from tests.system.faults.lateness import read_lateness, waits_of
 from tests.system.faults.mission import Spotter, heard, numbers_at
 from tests.system.faults.strikes import BACK_WITHIN_S, Strike
 
-from upwash.config import DroneConfig, FaultConfig, read_drone_config, server_areas, server_truth, waypoints
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import read_drone_config
+from upwash.config.places import server_areas, waypoints
+from upwash.config.truth import server_truth
+from upwash.config.world import FaultConfig
 from upwash.core.admission.admission import AdmissionSettings
 from upwash.core.geo import Circle
 from upwash.core.knowledge.servers import SELECTED, State

@@ -12,7 +12,8 @@ from statistics import fmean
 
 import msgspec
 
-from upwash.config import Document, drone_config
+from upwash.config.drone_file import drone_config
+from upwash.config.reading import Document
 from upwash.errors import MissionFailed, UsageError
 from upwash.lab import processes
 from upwash.lab.campaigns.file import ENERGY, CampaignFile, CampaignRow

@@ -14,8 +14,10 @@ from typing import NamedTuple
 
 import msgspec
 
-from upwash.config import DroneConfig, NoiseConfig, ServerConfig, photo_legs
+from upwash.config.drone import DroneConfig, ServerConfig
+from upwash.config.plan_photos import photo_legs
 from upwash.config.problems import repeated, unknown
+from upwash.config.world import NoiseConfig
 from upwash.core.policies.names import POLICIES, is_own
 from upwash.errors import UpwashError, UsageError
 from upwash.lab import processes

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import msgspec
 
-from upwash.config import Document
+from upwash.config.reading import Document
 from upwash.errors import NotWritten, UsageError
 from upwash.lab.campaigns.sweep import ParameterSweep
 from upwash.lab.scenario import told

@@ -11,8 +11,9 @@ from typing import cast
 
 import msgspec
 
-from upwash.config import Document, drone_config, impossible_values, read_document
-from upwash.config.problems import repeated
+from upwash.config.drone_file import drone_config
+from upwash.config.problems import impossible_values, repeated
+from upwash.config.reading import Document, read_document
 from upwash.errors import ConfigError, UsageError
 from upwash.lab.scenario import with_value, written
 from upwash.missions.bundled import load_services

@@ -9,7 +9,8 @@ from typing import TypeGuard
 
 import msgspec
 
-from upwash.config import DroneConfig, waypoints
+from upwash.config.drone import DroneConfig
+from upwash.config.places import waypoints
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.planning.demand_map import DemandMap
 from upwash.drone.resumption import waypoints_done

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import msgspec
 
-from upwash.config import DroneConfig
+from upwash.config.drone import DroneConfig
 from upwash.config.reading import Document
 from upwash.lab.faults.history import asks_servers, calls_of, within_s
 from upwash.lab.faults.promises import Broken, History, Promise, broken_promises

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from upwash.config import waypoints
+from upwash.config.places import waypoints
 from upwash.core.vehicle.control import Owner
 from upwash.eventlog import schema
 from upwash.lab.faults.history import (

@@ -6,7 +6,9 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from upwash.config import DroneConfig, FaultConfig, only_on_servers
+from upwash.config.checks import only_on_servers
+from upwash.config.drone import DroneConfig
+from upwash.config.world import FaultConfig
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.observer import Observation

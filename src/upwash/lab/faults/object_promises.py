@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from upwash.config import ObjectConfig
+from upwash.config.world import ObjectConfig
 from upwash.core.geo import Position, ground_distance_m
 from upwash.eventlog import schema
 from upwash.eventlog.progress import CallPlaces

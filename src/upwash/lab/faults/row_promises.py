@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from upwash.config import waypoints
+from upwash.config.places import waypoints
 from upwash.core.geo import distance_m
 from upwash.core.knowledge.servers import State
 from upwash.core.operation import ON_DRONE, name_of

@@ -6,7 +6,9 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from upwash.config import ServerConfig, server_truth, true_areas
+from upwash.config.drone import ServerConfig
+from upwash.config.places import true_areas
+from upwash.config.truth import server_truth
 from upwash.core.geo import Position
 from upwash.core.knowledge.servers import SELECTED, TRANSITIONS, State, Trigger
 from upwash.core.selection.recovery import REST_S, Probing

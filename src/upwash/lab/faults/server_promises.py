@@ -9,7 +9,9 @@ from itertools import pairwise
 
 import msgspec
 
-from upwash.config import FaultConfig, ServerConfig, ServerTruth, server_truth
+from upwash.config.drone import ServerConfig
+from upwash.config.truth import ServerTruth, server_truth
+from upwash.config.world import FaultConfig
 from upwash.core.admission.admission import AdmissionSettings
 from upwash.core.admission.turns import ASK_AGAIN_S
 from upwash.core.admission.watchdog import CALL_LIMIT_S, FIRST_PAUSE_S, FORGOTTEN_S, LONGEST_PAUSE_S

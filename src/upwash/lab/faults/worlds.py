@@ -14,8 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
-from upwash.config import DroneConfig, Lie, drone_config
+from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import drone_config
 from upwash.config.reading import Document
+from upwash.config.world import Lie
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.faults import mission as probing

@@ -14,7 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
-from upwash.config import DroneConfig, server_areas
+from upwash.config.drone import DroneConfig
+from upwash.config.places import server_areas
 from upwash.core.geo import Circle, Position
 from upwash.drone.preparation import order_of
 from upwash.lab.figures.style import (

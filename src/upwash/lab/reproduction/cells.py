@@ -14,7 +14,9 @@ from typing import Literal, NamedTuple
 
 import msgspec
 
-from upwash.config import DroneConfig, ServerConfig, drone_config, read_document
+from upwash.config.drone import DroneConfig, ServerConfig
+from upwash.config.drone_file import drone_config
+from upwash.config.reading import read_document
 from upwash.errors import UpwashError
 from upwash.eventlog import schema
 from upwash.lab import processes

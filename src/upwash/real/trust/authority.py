@@ -22,7 +22,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from cryptography.x509 import Certificate
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from upwash.config import KeysConfig
+from upwash.config.values import KeysConfig
 from upwash.core.admission.clients import Role
 from upwash.errors import CredentialsError, NotWritten, UsageError
 from upwash.real.trust.credentials import (

@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from ipaddress import IPv4Network
 
-from upwash.config import RuntimeConfig
+from upwash.config.runtime import RuntimeConfig
 from upwash.core.admission.limits import Limits
 from upwash.errors import EngineError
 from upwash.real.instances.containers import ServiceImage, container_name

@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import quote
 
-from upwash.config import RuntimeConfig
-from upwash.config.runtime import EngineConfig
+from upwash.config.runtime import EngineConfig, RuntimeConfig
 from upwash.errors import EngineError, UsageError
 from upwash.real.instances.containers import HeldImage
 from upwash.real.trust.secrets import read_secret

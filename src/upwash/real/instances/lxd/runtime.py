@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Collection, Mapping
 
-from upwash.config import RuntimeConfig
+from upwash.config.runtime import RuntimeConfig
 from upwash.core.admission.limits import DEFAULT_LIMITS, Limits
 from upwash.errors import EngineError
 from upwash.ports import InstanceSpec
