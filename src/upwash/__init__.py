@@ -111,7 +111,7 @@ if TYPE_CHECKING:
     from upwash.rpc.service import once, service
 else:
     _NAMES = {
-        "upwash.config": ("SecondLook",),
+        "upwash.config.drone": ("SecondLook",),
         "upwash.core.geo": ("EarthPosition", "GeoPosition", "Position", "Velocity", "Via", "Waypoint"),
         "upwash.lab.least_time": ("Bound", "FleetBound"),
         "upwash.core.vehicle.telemetry": ("Attitude", "GpsFix", "Telemetry"),

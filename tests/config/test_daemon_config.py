@@ -192,9 +192,21 @@ def test_containers_need_certificates_and_a_network(tmp_path: Path) -> None:
 
 
 def test_reading_configuration_imports_no_heavy_parts() -> None:
-    script = "import sys, upwash.config; print(*sys.modules)"
-    loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
-    assert not {"asyncio", "grpc", "cryptography", "numpy", "difflib", "upwash.ports"} & set(loaded.split())
+    loaded = modules_with("upwash.config.drone_file, upwash.config.daemon")
+    assert not {"asyncio", "grpc", "cryptography", "numpy", "difflib", "upwash.ports"} & loaded
+
+
+def test_a_daemon_loads_nothing_of_the_drones_program() -> None:
+    of_the_drone = ("upwash.drone", "upwash.plans", "upwash.vehicle", "upwash.lab", "upwash.sim")
+    loaded = modules_with("upwash.launch.daemon")
+    assert not [name for name in loaded if name.startswith((*of_the_drone, "upwash.config.drone"))]
+
+
+def modules_with(imported: str) -> set[str]:
+    """The modules that a Python process has after this import."""
+    script = f"import sys, {imported}; print(*sys.modules)"
+    shown = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+    return set(shown.split())
 
 
 def test_a_service_may_stand_in_for_that_of_a_slower_computer(tmp_path: Path) -> None:

@@ -5,6 +5,8 @@ types of `values`, `drone`, `world`, `daemon` and `runtime`), `checks` (what no 
 raised. After that every value is possible, and `places`, `flight_times` and `truth` answer what follows from several
 keys.
 
+Nothing is imported here: a daemon reads its file without the drone's types, and loads no part of the drone's program.
+
 A docstring below a key is its line in docs/configuration-reference.md, and the description of a kind of value is what
 an error says was expected: both are for people who write files. Ugly is that msgspec names a wrong value by a path in
 its message, which `explanation` has to take apart.

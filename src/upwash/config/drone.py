@@ -12,8 +12,10 @@ from msgspec.structs import replace
 
 from upwash.config import values
 from upwash.config.kept_maps import CoverageFile, DemandFile
+from upwash.config.plan_file import PlanFile
 from upwash.config.user import UserConfig
 from upwash.config.world import EnergyConfig, EventConfig, FaultConfig, NoiseConfig, TruthConfig
+from upwash.core.planning.order import SWEEPS
 from upwash.core.policies.names import POLICIES, is_own
 from upwash.core.selection.deadlines import Deadline
 from upwash.core.selection.hedging import HedgeRule
@@ -43,6 +45,11 @@ PhotoSize = Annotated[
     Meta(description="a pair [width, height] of whole numbers above 0, in pixels"),
 ]
 Radios = Annotated[int, Meta(ge=1, le=2, description="1 or 2")]
+PlanPath = Annotated[PlanFile, Meta(description="a plan's path, absolute or from this file's folder")]
+FlightOrder = Annotated[
+    Annotated[int, Meta(ge=0, lt=SWEEPS)] | Literal["given", "best-sweep", "by-index"],
+    Meta(description=f'"given", "best-sweep", "by-index", or a number of a sweep from 0 to {SWEEPS - 1}'),
+]
 CoveragePath = Annotated[
     CoverageFile, Meta(description="a coverage map's path, absolute or from this file's folder")
 ]
@@ -126,7 +133,7 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The waypoints as a grid; one of `grid`, `waypoints_m` and `plan` is needed."""
     waypoints_m: PlacesInMetres | None = None
     """The waypoints as pairs of metres east and north of home."""
-    plan: values.PlanPath | None = None
+    plan: PlanPath | None = None
     """The waypoints and the geofence of a [plan](missions.md#plans): QGroundControl's `.plan`, or `QGC WPL 110`."""
     photos: PhotosConfig | None = None
     """The rows of the grid, the legs 0, 2, 4 ... of `waypoints_m`, or those of the plan where it triggers the camera,
@@ -136,7 +143,7 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     tells answers of [rows](rows.md), and never turns back."""
     second_look: SecondLook | None = None
     """Objects that are found are looked at again from lower down."""
-    order: values.FlightOrder = "given"
+    order: FlightOrder = "given"
     """The order of the waypoints: [orders](missions.md#the-order-of-the-waypoints)."""
     reserve_percent: values.Percent | None = None
     """The mission ends early below this battery level."""
@@ -485,7 +492,7 @@ class FleetDroneConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Its waypoints as a grid."""
     waypoints_m: PlacesInMetres | None = None
     """Its waypoints as pairs of metres east and north of home."""
-    plan: values.PlanPath | None = None
+    plan: PlanPath | None = None
     """Its waypoints as a plan."""
     local_call_s: values.SecondsByService = {}
     """A call on its computer, in seconds, by service and profile key."""

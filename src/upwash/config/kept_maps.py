@@ -16,7 +16,7 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 import msgspec
 from msgspec import Meta, Struct
 
-from upwash.config.values import HomeConfig
+from upwash.config.values import HomeConfig, NamedFile
 from upwash.core.geo import (
     FARTHEST_M,
     MOST_PLACES,
@@ -46,14 +46,12 @@ _Answers = Annotated[float, Meta(ge=0, le=1e9)]
 T = TypeVar("T")
 
 
-class _KeptMap(Generic[T]):
+class _KeptMap(NamedFile, Generic[T]):
     """The fields of a file, the latest first: each has a home, or none, and what was found around it.
 
     A missing file and a damaged one have no field. Raises ConfigError for a file that cannot be read, or that never
     was what it must be.
     """
-
-    # No dataclass: msgspec would look for its fields in the configuration instead of asking how to read it.
 
     _name: str
     _mark: str  # the file's first key
@@ -61,7 +59,7 @@ class _KeptMap(Generic[T]):
     _content: type[Any]
 
     def __init__(self, file: Path) -> None:
-        self.file = file
+        super().__init__(file)
         self._fields, self._damage = self._read()
 
     def __eq__(self, other: object) -> bool:

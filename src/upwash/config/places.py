@@ -13,9 +13,10 @@ from dataclasses import replace
 import msgspec
 
 from upwash.config.drone import DroneConfig, GridConfig, MissionConfig, ServerConfig, VehicleConfig
+from upwash.config.plan_file import PlanFile
 from upwash.config.plan_photos import planned_photos
 from upwash.config.traces import read_track
-from upwash.config.values import HomeConfig, PlanFile
+from upwash.config.values import HomeConfig
 from upwash.core.geo import (
     Circle,
     GeoPosition,

@@ -12,9 +12,8 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from upwash.config.kept_maps import CoverageFile, DemandFile
 from upwash.config.problems import Problem, impossible_values
-from upwash.config.values import PlanFile, SettingsTable
+from upwash.config.values import NamedFile, SettingsTable
 from upwash.errors import ConfigError
 from upwash.support.input_files import named_text, read_named_file, read_toml
 from upwash.support.spared import require_unnamed
@@ -60,7 +59,7 @@ def convert(
     def resolve(kind: Any, value: object) -> Any:
         if kind is SettingsTable and isinstance(value, dict):
             return SettingsTable(file, value)
-        if kind not in (Path, CoverageFile, DemandFile, PlanFile) or not isinstance(value, str) or not value:
+        if not issubclass(kind, Path | NamedFile) or not isinstance(value, str) or not value:
             raise ValueError
         return kind(folder / value)
 

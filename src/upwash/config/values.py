@@ -13,8 +13,6 @@ from msgspec import Meta, Struct
 
 from upwash import kinds
 from upwash.core.geo import GeoPosition
-from upwash.core.planning.order import SWEEPS
-from upwash.plans import FlightPlan, read_plan
 
 Name = Annotated[
     str,
@@ -49,14 +47,13 @@ ImportPath = Annotated[
 FilePath = Annotated[Path, Meta(description="a file's path, absolute or from this file's folder")]
 
 
-class PlanFile:
-    """A plan and the file that it was read from."""
+class NamedFile:
+    """A file that a configuration names, read as the configuration is; a key of a kind below has its path."""
 
     # No dataclass: msgspec would look for its fields in the configuration instead of asking how to read it.
 
-    def __init__(self, file: Path, plan: FlightPlan | None = None) -> None:
+    def __init__(self, file: Path) -> None:
         self.file = file
-        self.plan: FlightPlan = plan or read_plan(file)
 
 
 class SettingsTable:
@@ -70,7 +67,6 @@ class SettingsTable:
 
 
 Settings = Annotated[SettingsTable, Meta(description="a table of what the service's constructor takes")]
-PlanPath = Annotated[PlanFile, Meta(description="a plan's path, absolute or from this file's folder")]
 
 Positive = kinds.Positive
 NotNegative = kinds.NotNegative
@@ -85,10 +81,6 @@ Count = Annotated[int, Meta(ge=1, description="an integer of at least 1")]
 CountFromZero = Annotated[int, Meta(ge=0, description="an integer of at least 0")]
 Slots = Annotated[
     Annotated[int, Meta(ge=1)] | Literal["auto"], Meta(description='an integer of at least 1, or "auto"')
-]
-FlightOrder = Annotated[
-    Annotated[int, Meta(ge=0, lt=SWEEPS)] | Literal["given", "best-sweep", "by-index"],
-    Meta(description=f'"given", "best-sweep", "by-index", or a number of a sweep from 0 to {SWEEPS - 1}'),
 ]
 TurnSeconds = Annotated[
     float, Meta(ge=5, description="a number of at least 5, in seconds, or inf for turns that never end")

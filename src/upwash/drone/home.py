@@ -13,7 +13,7 @@ from msgspec import Struct
 
 from upwash.config.drone import DroneConfig, MissionConfig
 from upwash.config.places import altitudes_above_sea, is_planned_home
-from upwash.config.values import PlanFile
+from upwash.config.plan_file import PlanFile
 from upwash.core.geo import Position, ground_distance_m
 from upwash.errors import AutopilotRefused
 from upwash.plans import FlightPlan, PlannedWaypoint

@@ -15,9 +15,10 @@ from upwash.config.daemon import DaemonConfig, DaemonKeysConfig, IdentityConfig,
 from upwash.config.drone import CameraConfig, DroneConfig, ServerConfig
 from upwash.config.flight_times import told_in_numbers
 from upwash.config.kept_maps import CoverageFile, DemandFile
+from upwash.config.plan_file import PlanFile
 from upwash.config.runtime import RuntimeConfig
 from upwash.config.truth import server_truth
-from upwash.config.values import KeysConfig, PlanFile
+from upwash.config.values import KeysConfig
 from upwash.emulation.field import Field, drone_namespace, server_namespace
 from upwash.emulation.namespaces import inside, make_namespace
 from upwash.emulation.request import server_paces

@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
 
 from upwash.config.daemon import ImageConfig
-from upwash.config.drone import ServiceConfig
 from upwash.config.reading import convert
 from upwash.config.values import SettingsTable
 from upwash.errors import UsageError
@@ -17,8 +17,10 @@ from upwash.rpc.settings import construct, plain, required_settings
 
 _SERVICES = {"detector": "upwash.services:Detector"}
 
+if TYPE_CHECKING:  # which a daemon does not load
+    from upwash.config.drone import ServiceConfig
 
-ConfiguredService = ServiceConfig | ImageConfig
+ConfiguredService: TypeAlias = "ServiceConfig | ImageConfig"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,9 +66,9 @@ def load_configured(configured: ConfiguredService, key: str) -> LoadedService:
             f"service {configured.name!r} runs {cls.__name__}, which is declared as {spec.name!r}: use that name"
         )
     table = configured.settings
-    runs = spec.on_drone or not isinstance(configured, ServiceConfig)  # an instance of it
+    runs = spec.on_drone or isinstance(configured, ImageConfig)  # an instance of it
     program = Program(path, _settings(spec, table, key, "service.settings", runs=runs), configured.command)
-    before = configured.before_sending if isinstance(configured, ServiceConfig) else None
+    before = None if isinstance(configured, ImageConfig) else configured.before_sending
     if spec.before_sending is None:
         if before is not None:
             raise UsageError(
