@@ -161,6 +161,13 @@ async def test_the_oldest_of_too_many_makes_room(request_: bytes) -> None:
         assert at.connections() == len(crowd)
 
 
+async def test_of_a_burst_as_many_stay_as_may() -> None:
+    async with served(CLOSING) as at:
+        await asyncio.gather(*[at.opened() for _ in range(3 * LIMIT)])
+        assert b"short" in await at.told(ASKED)
+        assert at.connections() == LIMIT - 1
+
+
 async def test_malformed_requests_leave_nothing_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.DEBUG)
     chunked = b"POST / HTTP/1.1\r\nHost: here\r\nTransfer-Encoding: chunked\r\n\r\n"
@@ -178,8 +185,9 @@ async def test_malformed_requests_leave_nothing_in_the_log(caplog: pytest.LogCap
 
 
 async def test_the_end_waits_for_nobody_who_is_silent_or_does_not_read(
-    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
+    monkeypatch.setattr(http, "_READING_S", 1000.0)
     async with served(CLOSING) as at:
         reader, _ = await at.opened(LONG)
         await at.opened()

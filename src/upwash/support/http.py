@@ -79,7 +79,7 @@ class _Impatient(H11Protocol):
                 super().data_received(data[start : start + _PIECE_BYTES])
 
     def send_400_response(self, msg: str) -> None:
-        """Goes on reading: of a connection closed with something unread, the kernel drops the answer too."""
+        """Goes on reading: the kernel drops the answer of a connection that is closed with unread data."""
         if self._is_answering():
             self.transport.abort()
         else:
