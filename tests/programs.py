@@ -44,16 +44,13 @@ _DRONE: dict[str, Any] = {
 }
 
 
-def ended(
-    command: Sequence[object], folder: Path | None = None, *, timeout_s: float | None = 120.0
-) -> subprocess.CompletedProcess[str]:
+def ended(command: Sequence[object], folder: Path | None = None) -> subprocess.CompletedProcess[str]:
     """How a program ended, and what it printed."""
     wide = os.environ | _WIDE
     return subprocess.run(
         [*map(str, command)],
         cwd=folder,
         env=wide,
-        timeout=timeout_s,
         capture_output=True,
         text=True,
         check=False,
@@ -62,7 +59,7 @@ def ended(
 
 def printed(module: str, *arguments: str | Path) -> str:
     """What `python -m MODULE ARGUMENTS` prints in the repository; it must end with 0."""
-    done = ended([sys.executable, "-m", module, *arguments], ROOT, timeout_s=None)
+    done = ended([sys.executable, "-m", module, *arguments], ROOT)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -89,9 +86,11 @@ def running(
 
 
 @contextmanager
-def stand_in(folder: Path, *options: str, listen: str = "udp:127.0.0.1:0") -> Iterator[str]:
-    """The connection to a vehicle that can be armed at once; its process is in the folder's vehicle.pid."""
-    command = ("vehicle", "--listen", listen, "--armable-after", "0", *options)
+def stand_in(
+    folder: Path, *options: str, listen: str = "udp:127.0.0.1:0", speedup: float = 4
+) -> Iterator[str]:
+    """The connection to a hasty vehicle that can be armed at once; its process is in the folder's vehicle.pid."""
+    command = ("vehicle", "--listen", listen, "--speedup", f"{speedup:g}", "--armable-after", "0", *options)
     with running(*command, folder=folder, stderr=None) as process:
         assert process.stdout is not None
         (folder / "vehicle.pid").write_text(str(process.pid))

@@ -27,7 +27,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The site; a link that leads nowhere, or a page that nothing leads to, fails the build."""
     folder = tmp_path_factory.mktemp("site")
     build = ["mkdocs", "build", "--quiet", "--strict", "-f", "site/mkdocs.yml", "-d", folder]
-    built = ended([sys.executable, "-m", *build], ROOT, timeout_s=None)
+    built = ended([sys.executable, "-m", *build], ROOT)
     assert built.returncode == 0, built.stdout + built.stderr
     return folder
 

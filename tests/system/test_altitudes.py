@@ -30,7 +30,7 @@ def fly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[f
     monkeypatch.chdir(tmp_path)
     Path("patrol.py").write_text(MISSION)
     Path("drone.toml").write_text('[mission]\nprogram = "patrol.py:patrol"\nplan = "field.waypoints"\n')
-    options = ("--home", PLACE, "--home-altitude", "488", "--acceleration", "50", "--speedup", "5")
+    options = ("--home", PLACE, "--home-altitude", "488", "--acceleration", "50")
     with stand_in(tmp_path, *options, listen="tcp:127.0.0.1:0") as connection:
 
         def flown(home_m: float) -> int:

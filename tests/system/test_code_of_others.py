@@ -44,7 +44,7 @@ def fly(drone):
 def test_a_flight_whose_mission_holds_pythons_lock_is_ended_by_another_program(tmp_path: Path) -> None:
     write_drone(tmp_path, HELD_UP, mission={"altitude_m": 5.0}, autopilot={"on_failure": "land"})
     log = tmp_path / "events.jsonl"
-    with stand_in(tmp_path, "--speedup", "4", "--acceleration", "4") as vehicle:
+    with stand_in(tmp_path, "--acceleration", "4") as vehicle:
         fly = ("fly", "--config", "drone.toml", "--autopilot", vehicle, "--log", str(log), "--quiet")
         done = subprocess.run(
             [sys.executable, "-c", IMPATIENT, *fly],
@@ -67,7 +67,7 @@ def test_a_signal_that_would_kill_ends_a_flight_safely(tmp_path: Path) -> None:
     log = tmp_path / "events.jsonl"
     fly = ("fly", "--config", "drone.toml", "--log", log, "--autopilot")
     with (
-        stand_in(tmp_path, "--speedup", "4", "--acceleration", "4") as vehicle,
+        stand_in(tmp_path, "--acceleration", "4") as vehicle,
         running(*fly, vehicle, folder=tmp_path) as flight,
     ):
         wait_for(lambda: read(log, "took_off"), within_s=60.0)

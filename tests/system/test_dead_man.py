@@ -28,7 +28,7 @@ RTL = 6
 def test_a_flight_whose_program_is_killed_is_brought_home(tmp_path: Path) -> None:
     write_drone(tmp_path, WAITING, mission={"altitude_m": 10.0}, autopilot={"dead_man_s": 10.0})
     log = tmp_path / "events.jsonl"
-    with stand_in(tmp_path, "--speedup", "4") as vehicle:
+    with stand_in(tmp_path) as vehicle:
         check = ("check", "drone.toml", "--autopilot", vehicle)
         fly = ("fly", "--config", "drone.toml", "--autopilot", vehicle)
         done = upwash(*check, "--vehicle", folder=tmp_path)

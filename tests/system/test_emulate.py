@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -164,22 +165,6 @@ def test_links_are_as_fast_as_the_settings_say_and_end_at_their_range(radio: str
 
 
 @pytest.mark.flight
-def test_servers_that_are_peers_have_a_wire_between_them(
-    emulate: Callable[..., Emulation], tmp_path: Path
-) -> None:
-    scenario = tmp_path / "peers.toml"
-    first, second = DEMONSTRATION.read_text().split('name = "s2"')
-    scenario.write_text(
-        f'{first.replace("start_s = 3.0", PEERS.format("s2"))}name = "s2"'
-        f'{second.replace("start_s = 3.0", PEERS.format("s1"))}\n[policy]\nname = "look-ahead"\n'
-    )
-    emulation = emulate(str(scenario), "--radio", "table")
-    emulation.finish_in_time()
-    steps = [event for event in emulation.events() if event.get("server") == "s2" and "before" in event]
-    assert [event["event"] for event in steps[:3]] == ["prepared", "selected", "found_running"]
-
-
-@pytest.mark.flight
 def test_the_demonstration_goes_as_it_is_simulated(radio: str, emulate: Callable[..., Emulation]) -> None:
     expect_as_simulated(emulate(str(DEMONSTRATION), "--radio", radio))
 
@@ -239,10 +224,17 @@ def late_in_calls(
 
 @pytest.mark.flight
 def test_a_call_is_cut_when_the_drone_leaves_the_range_and_answered_on_the_drone(
-    radio: str, computers: str, emulate: Callable[..., Emulation]
+    radio: str, computers: str, emulate: Callable[..., Emulation], tmp_path: Path
 ) -> None:
-    emulation = emulate(str(EMULATED / "leaving.toml"), "--radio", radio, "--in", computers)
-    emulation.finish_in_time()
+    own = contextlib.nullcontext("")
+    if computers == "namespaces":  # there a vehicle of the machine itself is flown, from inside
+        options = ("--armable-after", "1", "--acceleration", "4", "--home", "39.3666,22.9507")
+        own = stand_in(tmp_path, *options, speedup=1, listen="tcp:127.0.0.1:0")
+    with own as vehicle:
+        given = ("--autopilot", vehicle) if vehicle else ()
+        emulation = emulate(str(EMULATED / "leaving.toml"), "--radio", radio, "--in", computers, *given)
+        emulation.finish_in_time()
+    assert (emulation.folder / "drone-vehicle.log").exists() == (not vehicle)
     _, cut = read_result(read_log(emulation.folder / "drone.jsonl")).calls
     assert cut.place == "local" and cut.decision != "no server selected"
     out_of_range_after_s, local_s = 3.5, 5.0
@@ -262,21 +254,34 @@ def test_several_drones_fly_at_once_and_share_the_servers(emulate: Callable[...,
 
 
 @pytest.mark.flight
-def test_a_vehicle_of_the_machine_itself_is_flown_from_inside(
+def test_servers_that_are_peers_have_a_wire_between_them_and_ctrl_c_leaves_nothing(
     emulate: Callable[..., Emulation], tmp_path: Path
 ) -> None:
-    with stand_in(tmp_path, "--armable-after", "1", listen="tcp:127.0.0.1:0") as address:
-        emulation = emulate(str(EMULATED / "leaving.toml"), "--autopilot", address)
-        emulation.finish()
-        assert read_result(read_log(emulation.folder / "drone.jsonl")).completed
-        assert not (emulation.folder / "drone-vehicle.log").exists()
+    scenario = tmp_path / "peers.toml"
+    first, second = DEMONSTRATION.read_text().split('name = "s2"')
+    scenario.write_text(
+        f'{first.replace("start_s = 3.0", PEERS.format("s2"))}name = "s2"'
+        f'{second.replace("start_s = 3.0", PEERS.format("s1"))}\n[policy]\nname = "look-ahead"\n'
+    )
+    emulation = emulate(str(scenario))
+
+    def steps() -> list[str]:
+        about = [event for event in emulation.events() if event.get("server") == "s2" and "before" in event]
+        return [event["event"] for event in about[:3]]
+
+    emulation.wait_until(lambda: len(steps()) == 3)
+    assert steps() == ["prepared", "selected", "found_running"]
+    expect_an_end_at_ctrl_c(emulation)
 
 
-def test_ctrl_c_lands_the_drones_and_leaves_nothing(
-    computers: str, emulate: Callable[..., Emulation]
-) -> None:
-    emulation = emulate(str(DEMONSTRATION), "--in", computers)
+def test_ctrl_c_lands_the_drones_in_containers_and_leaves_nothing(emulate: Callable[..., Emulation]) -> None:
+    require_engine()
+    emulation = emulate(str(DEMONSTRATION), "--in", "containers")
     emulation.wait_for("took_off")
+    expect_an_end_at_ctrl_c(emulation)
+
+
+def expect_an_end_at_ctrl_c(emulation: Emulation) -> None:
     os.killpg(emulation.process.pid, signal.SIGINT)
     output = emulation.finish()
     assert emulation.process.returncode == 130, output

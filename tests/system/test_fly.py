@@ -272,7 +272,7 @@ def test_a_port_that_anyone_reaches_is_warned_of_at_the_start(
 @pytest.mark.usefixtures("fly")
 def test_after_the_second_ctrl_c_it_says_that_the_vehicle_is_left_to_itself() -> None:
     configured(FAR)
-    with vehicle("--acceleration", "5") as connection:
+    with vehicle("--acceleration", "5", speedup=1) as connection:  # it is not down before the second
         command = ("fly", "--config", "drone.toml", "--autopilot", connection, "--log", "log")
         with running(*command, stderr=subprocess.PIPE) as flight:
             assert flight.stdout is not None

@@ -29,7 +29,7 @@ def folder(tmp_path: Path) -> Path:
 @pytest.fixture
 def fly(folder: Path) -> Iterator[tuple[str, ...]]:
     """The command, past a stand-in; it stays armed on the ground for as long as a busy machine starts a program."""
-    options = ("--acceleration", "50", "--speedup", "3", "--param", "DISARM_DELAY=127")
+    options = ("--acceleration", "50", "--param", "DISARM_DELAY=127")
     with stand_in(folder, *options) as vehicle:
         yield ("fly", "--config", "drone.toml", "--autopilot", vehicle)
 
@@ -98,9 +98,7 @@ def test_photos_that_only_a_server_answers_are_all_answered_by_it(
     served = [{"name": "counter", "program": f"{tmp_path}/mission.py:Counter"}]
     with (
         daemon(tmp_path, config(None, service=served, server=[{"name": "s1"}]), names="s1") as edge,
-        stand_in(
-            tmp_path, "--acceleration", "50", "--speedup", "3", "--param", "DISARM_DELAY=127"
-        ) as vehicle,
+        stand_in(tmp_path, "--acceleration", "50", "--param", "DISARM_DELAY=127") as vehicle,
     ):
         server = {"name": "s1", "east_m": 40.0, "north_m": 20.0, "range_m": 12.0, "address": edge.address}
         server |= {"remote_call_s": 0.2, "check_s": 3.0, "check_running_s": 0.5}
