@@ -226,7 +226,7 @@ def late_in_calls(
 def test_a_call_is_cut_when_the_drone_leaves_the_range_and_answered_on_the_drone(
     radio: str, computers: str, emulate: Callable[..., Emulation], tmp_path: Path
 ) -> None:
-    own = contextlib.nullcontext("")
+    own: contextlib.AbstractContextManager[str] = contextlib.nullcontext("")
     if computers == "namespaces":  # there a vehicle of the machine itself is flown, from inside
         options = ("--armable-after", "1", "--acceleration", "4", "--home", "39.3666,22.9507")
         own = stand_in(tmp_path, *options, speedup=1, listen="tcp:127.0.0.1:0")
