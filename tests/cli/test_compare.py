@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import io
 import re
+from pathlib import Path
 from typing import Any
 
+import pytest
 from rich.console import Console
 
 from upwash.cli.compare import in_markdown, print_tables
+from upwash.cli.main import main
 from upwash.lab.campaigns.comparison import ComparedPolicy
+
+SCENARIO = Path(__file__).parents[2] / "scenarios" / "demonstration.toml"
 
 
 def row(policy: str, minutes: float, margin: float = 0.1, **other: Any) -> ComparedPolicy:
@@ -78,3 +83,24 @@ def test_others_read_markdown() -> None:
     *_, quickest = in_markdown([row("local-only", 20.0), row("look-ahead", 11.0)])
     assert quickest == "| field | 10.00 | 20.00 ± 0.10 (+100.0 %) | **11.00 ± 0.10 (+10.0 %)** |"
     assert "*" not in [*in_markdown([row("local-only", 20.0), row("look-ahead", 20.001)])][-1], "no winner"
+
+
+def test_flights_are_compared_by_their_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    logs = [tmp_path / f"{policy}.jsonl" for policy in ("look-ahead", "local-only")]
+    for log in logs:
+        assert main(["simulate", str(SCENARIO), "--policy", log.stem, "--log", str(log)]) == 0
+    capsys.readouterr()
+    assert main(["compare", *map(str, logs)]) == 0
+    told = capsys.readouterr().out.splitlines()
+    rows = {name: values for name, *values in (re.split(" {2,}", line.strip()) for line in told)}
+    assert rows["policy"] == ["look-ahead", "local-only"]
+    quick_s, slow_s = (float(time.removesuffix(" s")) for time in rows["mission time"])
+    assert told[-1].startswith(f"look-ahead took {slow_s - quick_s:.1f}\u00a0s less than local-only")
+
+
+@pytest.mark.parametrize("more", [["--policy", "look-ahead"], ["--worlds", "3"], [str(SCENARIO)]])
+def test_logs_are_compared_without_flying_anything(
+    more: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["compare", str(tmp_path / "flight.jsonl"), *more]) == 2
+    assert "logs are compared as they are" in capsys.readouterr().err

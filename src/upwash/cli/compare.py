@@ -1,4 +1,4 @@
-"""upwash compare: flies every policy in the same scenarios."""
+"""upwash compare: flies every policy in the same scenarios, or holds flights against each other by their logs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from upwash.cli.arguments import figures_of, figures_with, option, reads, repeated, seeds, seeds_of
@@ -17,16 +17,21 @@ from upwash.errors import UsageError
 from upwash.lab.campaigns.comparison import ComparedPolicy, compare
 from upwash.lab.campaigns.sweep import read_overrides
 from upwash.lab.figures import FigureFiles
+from upwash.report.groups import differences, in_words, verdict
+from upwash.report.record import read_records
+from upwash.report.reviews import logs_among
+from upwash.report.tables import total_rows
 from upwash.support.confidence import Mean, mean_of
 from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
 
+_LOG = ".jsonl"
 Cell = Callable[[ComparedPolicy], str]
 
 
 ARGUMENTS = {
-    "scenarios SCENARIO": reads("TOML files", nargs="*"),
+    "scenarios SCENARIO": reads("TOML files; or event logs of flights, to compare these", nargs="*"),
     "--thesis": "the eight cells of the thesis's experiments too",
     "--worlds N|A..B": option(
         "the drawn worlds of the seeds 1 to N, or A to B, too: each is flown once", type=seeds
@@ -48,6 +53,9 @@ ARGUMENTS = {
 
 def run(options: argparse.Namespace) -> None:
     """Fly them all with a progress bar, and print the results; in Markdown where no person reads them."""
+    if any(file.suffix == _LOG for file in options.scenarios):
+        _compare_flights(options)
+        return
     if not any((options.scenarios, options.thesis, options.worlds, options.surveys)):
         raise UsageError("nothing to compare in: name scenario files, or give --thesis or --worlds 1..100")
     overrides = read_overrides(options.settings)
@@ -71,6 +79,31 @@ def run(options: argparse.Namespace) -> None:
         print_tables(rows, console)
     if figures is not None:
         _draw(rows, figures)
+
+
+def _compare_flights(options: argparse.Namespace) -> None:
+    """Print what each of the logs' flights came to, a column each, and how they differ."""
+    others = (
+        options.thesis,
+        options.worlds,
+        options.surveys,
+        options.policies,
+        options.settings,
+        options.figures,
+    )
+    if any(others) or any(file.suffix != _LOG for file in options.scenarios):
+        raise UsageError("logs are compared as they are: name logs alone, without options that fly missions")
+    records = read_records(logs_among(options.scenarios))
+    console = Console(markup=False, highlight=False)
+    say(verdict(records), console)
+    table = Table(
+        "", *(Column(Text(record.name), overflow="fold") for record in records), box=None, padding=(0, 1)
+    )
+    for name, values in total_rows([record.result for record in records]):
+        table.add_row(name, *map(Text, values))
+    show_table(table, console)
+    for difference in differences(records):
+        say(in_words(difference), console)
 
 
 def _draw(rows: Sequence[ComparedPolicy], figures: FigureFiles) -> None:

@@ -50,7 +50,7 @@ _COMMANDS = {
     "report": "make a page, and files for other tools, from event logs",
     "reproduce": "fly the thesis's experiments, beside what it printed",
     "campaign": "simulate many missions, over seeds and settings",
-    "compare": "fly every policy in the same scenarios, beside the bound",
+    "compare": "fly every policy in the same scenarios, beside the bound; or compare flights by their logs",
     "traces": "make traces for simulations from an event log",
     "worlds": "draw worlds at random, as scenarios to compare policies in",
     "whatif": "predict a flight under other policies, from its log",

@@ -43,25 +43,30 @@ def scrolled(content: Markup, name: str) -> Markup:
 
 
 def totals(records: Sequence[Record]) -> Markup:
-    """The results of the flights, a column each."""
-    results = [record.result for record in records]
-    rows = {name: list(map(value, results)) for name, value in _ALWAYS.items()}
+    """What each flight came to, a column each."""
+    heads = ["", *(record.name for record in records)]
+    body = [[name, *values] for name, values in total_rows([record.result for record in records])]
+    return table("Totals", heads, body, rest="--csv FILE writes every call")
+
+
+def total_rows(results: Sequence[RunResult]) -> Iterator[tuple[str, list[str]]]:
+    """What each flight came to: rows with a name and a value for each."""
+    for name, value in _ALWAYS.items():
+        yield name, list(map(value, results))
     for kind in _WHERE_SOME:
         told = {
             name: [str(getattr(result.totals, field)) for result in results] for field, name in kind.items()
         }
         if any(value != "0" for values in told.values() for value in values):
-            rows |= told
+            yield from told.items()
     if any(result.totals.hidden_s for result in results):
-        rows["of the calls' time hidden"] = [f"{result.totals.hidden_s:.1f} s" for result in results]
+        yield "of the calls' time hidden", [f"{result.totals.hidden_s:.1f} s" for result in results]
     if any(result.energy for result in results):
-        rows["drawn from the battery"] = list(map(_drawn, results))
-    heads = ["", *(record.name for record in records)]
-    body = [[name, *values] for name, values in rows.items()]
-    return table("Totals", heads, [*body, *_of_operations(results)], rest="--csv FILE writes every call")
+        yield "drawn from the battery", list(map(_drawn, results))
+    yield from _of_operations(results)
 
 
-def _of_operations(results: Sequence[RunResult]) -> Iterator[list[str]]:
+def _of_operations(results: Sequence[RunResult]) -> Iterator[tuple[str, list[str]]]:
     """What a call of each operation took on average, and what it took on the drone alone."""
     local_s = [mean_local_delay_s(result.calls) for result in results]
     delays_s = [dict[str, list[float]]() for _ in results]
@@ -71,10 +76,8 @@ def _of_operations(results: Sequence[RunResult]) -> Iterator[list[str]]:
     for operation in sorted({operation for delays in delays_s for operation in delays}):
         means = [_mean(delays.get(operation)) for delays in delays_s]
         alone = [f"{local[operation]:.2f} s" if operation in local else "not measured" for local in local_s]
-        yield [
-            f"mean of {operation}, and on the drone",
-            *(f"{mean}, {own}" if mean else "" for mean, own in zip(means, alone, strict=True)),
-        ]
+        told = [f"{mean}, {own}" if mean else "" for mean, own in zip(means, alone, strict=True)]
+        yield f"mean of {operation}, and on the drone", told
 
 
 def _mean(delays_s: Sequence[float] | None) -> str:
