@@ -82,7 +82,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _compare_flights(options: argparse.Namespace) -> None:
-    """Print what each of the logs' flights came to, a column each, and how they differ."""
+    """Print the results of the logs' flights, a column each, and their differences."""
     others = (
         options.thesis,
         options.worlds,

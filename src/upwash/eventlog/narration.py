@@ -294,7 +294,7 @@ def _sentence(event: Event) -> Sentence | None:
 
 
 def _step(server: str, before: State, after: State) -> str:
-    """What a server came to."""
+    """The step of a server in words."""
     if after in CHECKING:
         return f"joining {server}"
     if before in SELECTED and after in (State.AVL, State.AVL_R):

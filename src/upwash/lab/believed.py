@@ -1,4 +1,4 @@
-"""The world as a drone believes it before take-off: a scenario in which its mission is flown to forecast it.
+"""The world as a drone believes it before take-off: a scenario, where the twin flies the mission as a forecast.
 
 It has no fault and no noise, and its servers are as believed. As many answers demand an act as is likely, evenly
 spread over the plan.

@@ -37,7 +37,7 @@ class Fix:
 
 
 class MissionEvents:
-    """The events of a log from the `first` to before the `end`, read anew by each reader.
+    """The events of a log from the `first` to before the `end`; each pass reads them again.
 
     A long flight's log is larger than what a page about it holds, so that none of them is kept.
     """
@@ -98,7 +98,7 @@ class Record:
 
     @property
     def places(self) -> Sequence[Position | None]:
-        """Where the drone made each of them, if that is known."""
+        """The place of the drone at each call; None if unknown."""
         return self.story.places
 
     @property

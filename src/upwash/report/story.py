@@ -34,7 +34,7 @@ class Stretch:
 
 
 class Story:
-    """Follows one run; a log's `LogOpened` begins another one, for another story.
+    """Follows one run. A log's `LogOpened` begins another run, for another story.
 
     `opening` is the first event, `plan` the first plan, and `drone` None before the mission began. The last event
     told of objects that were `found`, of a call or of an answer that it `explained`, and of what a person should know
@@ -69,7 +69,7 @@ class Story:
         self.noticed = list(self._notices.take(event))
         for notice in self.noticed:
             self._ending.put(notice, event.t)
-        if type(event) is schema.PositionReport:  # most events of a long log, of which the rest knows nothing
+        if type(event) is schema.PositionReport:  # most events of a long log
             self.explained, self.found = None, ()
             return
         self.explained, self.found = self.reasons.take(event), self.finder.take(event)
@@ -144,7 +144,7 @@ class Story:
         return FlightFindings(log, self.drone, self.opened, self.began_s, self.home, list(self.finder.found))
 
     def outcome(self, name: str) -> Outcome | None:
-        """What the run of that name came to so far; None where no mission has begun."""
+        """The outcome of the run until now, under that name; None before the mission."""
         if self.tally.began_s is None:
             return None
         world = (self.simulated.scenario, self.simulated.seed) if self.simulated else None

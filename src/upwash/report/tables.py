@@ -43,14 +43,14 @@ def scrolled(content: Markup, name: str) -> Markup:
 
 
 def totals(records: Sequence[Record]) -> Markup:
-    """What each flight came to, a column each."""
+    """The results of the flights, a column each."""
     heads = ["", *(record.name for record in records)]
     body = [[name, *values] for name, values in total_rows([record.result for record in records])]
     return table("Totals", heads, body, rest="--csv FILE writes every call")
 
 
 def total_rows(results: Sequence[RunResult]) -> Iterator[tuple[str, list[str]]]:
-    """What each flight came to: rows with a name and a value for each."""
+    """The results of the flights: rows with a name and a value for each flight."""
     for name, value in _ALWAYS.items():
         yield name, list(map(value, results))
     for kind in _WHERE_SOME:

@@ -105,7 +105,7 @@ class Recording:
                     self._begin()
                 told += self.news.take(event)
             told += self.news.lacks(self._lines.left_out)
-        finally:  # what came before the end of what can be read is told
+        finally:  # the page gets all facts until a line that cannot be read
             if told:
                 self._pieces.append(Piece(self.count, len(told), msgspec.json.encode(told)))
                 self.count += len(told)

@@ -34,13 +34,13 @@ _KINDS = {
 _SUFFIXES = ("png", "jpg", "jpeg", "webp")
 _AT_ONCE, _OVERVIEW = 16, 15  # of the first zoom that a document has: the most tiles, and the zoom
 _MOST_INLINED = 2_000
-INLINED_BYTES = 8_000_000  # of a document's tiles, as they are in the document
+INLINED_BYTES = 8_000_000  # of the tiles in a document
 
 Find: TypeAlias = Callable[[int, int, int], bytes | None]  # the tile at zoom, x and y
 
 
 class Tiles(msgspec.Struct, frozen=True):
-    """What a page is told: a URL with {z}, {x} and {y}, the zooms that there are, and their maker's `credit`.
+    """The tiles of a page: their URL with {z}, {x} and {y}, their zooms, and their maker's `credit`.
 
     Without a URL the tiles are in the document.
     """
