@@ -54,6 +54,8 @@ def is_asked(config: DroneConfig) -> bool:
 def manners(document: Document, config: DroneConfig, file: Path) -> Iterator[tuple[str, Document]]:
     """The file in each manner of flying that it allows, first as it is."""
     yield AS_CONFIGURED, changed(document)
+    if config.mission.only_tells:  # no answer holds the drone up
+        return
     learns = changed(document)
     learns.setdefault("policy", {})["stay_or_go"] = "learn"
     if config.policy.stay_or_go != "learn":
