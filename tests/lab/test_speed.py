@@ -140,8 +140,7 @@ def test_where_no_mission_can_be_flown_the_highest_allowed_speed_is_taken(error:
     def fails(_: DroneConfig) -> Any:
         raise error
 
-    # another name, as the last choices are remembered
-    world = config("alone, with stops", camera={"photo_s": 2.0}, name=f"fails-{type(error).__name__.lower()}")
+    world = config("alone, with stops", camera={"photo_s": 2.0})
     chosen = chosen_speed(world, fails)
     assert chosen.ground_speed_m_s == 5.0 and chosen.forecast is None
     reason = str(error) or "RecursionError"

@@ -68,7 +68,7 @@ class ChosenSpeed(Struct, frozen=True):
     forecast: RowForecast | None = None
 
 
-_CHOSEN: deque[tuple[DroneConfig, ChosenSpeed]] = deque(maxlen=16)
+_FLOWN: deque[tuple[DroneConfig, RowForecast]] = deque(maxlen=64)
 
 
 def with_speed(config: DroneConfig, simulate: Simulate) -> tuple[DroneConfig, str]:
@@ -85,14 +85,8 @@ def _at(config: DroneConfig, ground_speed_m_s: float) -> DroneConfig:
 
 
 def chosen_speed(config: DroneConfig, simulate: Simulate) -> ChosenSpeed:
-    """The speed with the shortest mission; the highest that is allowed where none can be flown.
-
-    The last choices are remembered: cases of a check and seeds of a campaign differ in what no drone knows.
-    """
+    """The speed with the shortest mission; the highest that is allowed where none can be flown."""
     worlds = believed_worlds(config)
-    for other, chosen in _CHOSEN:
-        if other == worlds[0]:
-            return chosen
     limits, plan = list(speed_limits(config)), waypoints(config.mission)
     rows_m = sum(
         distance_m(before.position, after.position)
@@ -108,15 +102,11 @@ def chosen_speed(config: DroneConfig, simulate: Simulate) -> ChosenSpeed:
                 done()
                 return found
 
-            chosen = choose_speed(limits, forecast, rows_m=rows_m, most=most)
+            return choose_speed(limits, forecast, rows_m=rows_m, most=most)
     except Exception as error:  # noqa: BLE001 - of a mission's own program too: a choice never ends a flight
         top_m_s = _rounded(min(limit.ground_speed_m_s for limit in limits))
-        reason = str(error) or type(error).__name__
-        chosen = ChosenSpeed(
-            top_m_s, f"{top_m_s:g} m/s, as allowed: {_told(limits)}; no forecast, as {reason}"
-        )
-    _CHOSEN.append((worlds[0], chosen))
-    return chosen
+        why = f"{top_m_s:g} m/s, as allowed: {_told(limits)}; no forecast, as {str(error) or type(error).__name__}"
+        return ChosenSpeed(top_m_s, why)
 
 
 def forecast_speed(config: DroneConfig, simulate: Simulate) -> RowForecast:
@@ -125,16 +115,27 @@ def forecast_speed(config: DroneConfig, simulate: Simulate) -> RowForecast:
 
 
 def _forecast(worlds: Sequence[DroneConfig], simulate: Simulate) -> RowForecast:
-    found = []
-    for world in worlds:
-        run = simulate(world)
-        if run.failure or not run.result.completed:
-            raise UpwashError(f"the mission is not completed in simulation: {run.failure}")
-        mission = world.mission
-        found.append(flown_rows(run.result, run.events, waypoints(mission), mission.ground_speed_m_s))
+    found = [_flown(world, simulate) for world in worlds]
     mean_s = fmean(one.mission_s for one in found)
     nearest = min(found, key=lambda one: abs(one.mission_s - mean_s))
     return replace(nearest, mission_s=mean_s, worlds=len(found))
+
+
+def _flown(world: DroneConfig, simulate: Simulate) -> RowForecast:
+    """The forecast in one world.
+
+    The last ones are remembered: cases of a check and seeds of a campaign differ in what no drone knows.
+    """
+    for other, forecast in _FLOWN:
+        if other == world:
+            return forecast
+    run = simulate(world)
+    if run.failure or not run.result.completed:
+        raise UpwashError(f"the mission is not completed in simulation: {run.failure}")
+    mission = world.mission
+    forecast = flown_rows(run.result, run.events, waypoints(mission), mission.ground_speed_m_s)
+    _FLOWN.append((world, forecast))
+    return forecast
 
 
 def choose_speed(

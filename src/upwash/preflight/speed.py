@@ -49,7 +49,7 @@ class Interval(Struct, frozen=True, kw_only=True):
 
 
 class Answers(Struct, frozen=True, kw_only=True):
-    """Photos taken a second on the rows, and answers that the drone and its servers could give; from a forecast.
+    """Photos taken a second on the rows, and answers that came, in the world that the drone believes in.
 
     The drone stops `stops` times for answers, as `at_most` may be open, and waits for them `waited_s` in all, with
     the wait before the way home.

@@ -84,17 +84,18 @@ def _calls(
 ) -> Iterator[ComingCall]:
     clock = CallClock()
     measured = {server for server in gaining if estimates.is_measured(server)}
-    delays_s: dict[Operation, dict[str, float]] = {}  # of each operation, by server
+    delays_s: dict[Operation, tuple[float, dict[str, float]]] = {}  # on the drone, and by server
     for call in expected:
         before_s = clock.at_s
         clock.begin(call)
-        local_s = estimates.alone_s(call.operation) or 0.0
-        its_delays_s = delays_s.get(call.operation)
-        if its_delays_s is None:
+        if (known := delays_s.get(call.operation)) is None:
+            local_s = estimates.alone_s(call.operation) or 0.0
             remote_s = {server: estimates.remote_s(server, call.operation) for server in gaining}
-            its_delays_s = delays_s[call.operation] = {
+            at_servers_s = {
                 server: local_s if delay_s is None else delay_s for server, delay_s in remote_s.items()
             }
+            known = delays_s[call.operation] = local_s, at_servers_s
+        local_s, its_delays_s = known
         offers = []
         for server, in_range_s in call.in_range_s.items():
             allowed_s = clock.at_s - banned_s.get(server, -math.inf)

@@ -297,7 +297,7 @@ class ServerPlanning(Part):
             banned_s=dict(self._banned()),
             idle_s=self._settings.idle_s,
         )
-        if self._lanes.has_line:
+        if self._lanes.has_line and any(map(self._lanes.usual_wait_s, forecast.checks)):
             forecast = replace(forecast, calls=[self._with_waits(call) for call in forecast.calls])
         calls = [call.times(count) for call, count in zip(forecast.calls, backlog.values(), strict=False)]
         return replace(forecast, calls=[*calls, *forecast.calls[len(calls) :]]) if calls else forecast
