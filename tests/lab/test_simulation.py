@@ -62,7 +62,7 @@ def test_a_result_can_be_put_into_a_table_and_not_be_changed() -> None:
     simulation = upwash.simulate(PATROL)
     rows = [dataclasses.asdict(call) for call in simulation.calls]
     assert [row["waypoint"] for row in rows] == [0, 1, 2, 3, 4]
-    assert {type(value) for row in rows for value in row.values()} <= {int, str, float, type(None)}
+    assert {type(value) for row in rows for value in row.values()} <= {int, str, float, bool, type(None)}
     with pytest.raises(dataclasses.FrozenInstanceError):
         simulation.mission_time_s = 0.0  # type: ignore[misc]
     assert len(repr(simulation)) < 1000  # which a notebook prints

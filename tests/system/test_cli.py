@@ -124,7 +124,7 @@ def test_the_package_and_its_help_load_nothing_heavy() -> None:
 @pytest.mark.parametrize(
     "arguments",
     [
-        *("", "submarine", "fly", "serve", "fly survey --config drone.toml --colour red"),
+        *("", "fly", "serve", "fly survey --config drone.toml --colour red"),
         *("vehicle --home Volos", "vehicle --home 39.4", "vehicle --home 91,0", "vehicle --home nan,0"),
         *("vehicle --acceleration fast", "vehicle --acceleration nan"),
     ],

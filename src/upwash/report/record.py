@@ -189,7 +189,7 @@ def _record(events: Iterable[Event], log: Path, name: str) -> Record:
         if story.tally.began_s is None:
             raise UsageError(f"{log} has no mission: it ended before one began")
         result = story.tally.result()
-        return Record(
+        record = Record(
             name=name,
             story=story,
             events=MissionEvents(events, first, end),
@@ -199,6 +199,8 @@ def _record(events: Iterable[Event], log: Path, name: str) -> Record:
         )
     except (KeyError, TypeError, ValueError) as error:  # msgspec's ValidationError is a ValueError
         raise UsageError(f"{log} is not an event log that this version reads: {error!r}") from error
+    story.finish()
+    return record
 
 
 class _Track:

@@ -15,7 +15,7 @@ from upwash.eventlog.notices import Notice, Notices
 from upwash.eventlog.reasons import CallText, ExplainedAnswer, ExplainedCall, Reasons, worst_of
 from upwash.eventlog.results import RunResult, Tally
 from upwash.eventlog.schema import Event
-from upwash.report.findings import Finder, Finding
+from upwash.report.findings import Finder, Finding, Pairing
 from upwash.report.numbering import FlightFindings
 from upwash.report.outcome import UNPLANNED, Outcome
 from upwash.support.text import by_name
@@ -134,6 +134,11 @@ class Story:
                 if to_s > from_s
             ]
         return found
+
+    def finish(self) -> None:
+        """Let go of what only further events need: a long flight's report keeps its story."""
+        self.reasons, self.finder.pairing = Reasons(), Pairing()
+        self._notices, self._ending = Notices(), EndingSoFar()
 
     def ending(self, result: RunResult) -> Ending:
         """What a person should know of the run afterwards; the result is its own."""

@@ -36,6 +36,7 @@ _ARMING_S = 2.2  # of the spooling up: it begins with arming, not with the comma
 _TURNS_ABOVE_M_S = 0.5
 _USUAL_LOITER_S = 5.0  # of RTL_LOIT_TIME, in the recorded returns
 _TURN_STEP_S, _LONGEST_TURN_S = 0.1, 6.0
+_MOST_M_S2 = 5.0  # of the parameter's range
 
 
 class _Doing(Enum):
@@ -374,7 +375,7 @@ def _parameters_at_boot(settings: VehicleSettings) -> ParameterTable:
     parameters = ParameterTable("ardupilot", new_names=settings.version >= Version(4, 7))
     if settings.acceleration_m_s2 is not None:  # it does not hover above home or land slowly
         parameters.preset("RTL_LOIT_TIME", 0)
-        parameters.preset("WPNAV_ACCEL", settings.acceleration_m_s2 * 100)
+        parameters.preset("WPNAV_ACCEL", min(settings.acceleration_m_s2, _MOST_M_S2) * 100)
         parameters.preset("WPNAV_SPEED_UP", settings.climb_m_s * 100)
         for name in ("WPNAV_SPEED_DN", "LAND_SPEED"):
             parameters.preset(name, settings.descent_m_s * 100)
