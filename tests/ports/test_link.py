@@ -233,6 +233,14 @@ def test_a_name_of_the_hosts_file_needs_no_dns_server(tmp_path: Path) -> None:
 # --- no answer ----------------------------------------------------------------------------------------------
 
 
+async def test_a_server_that_gives_up_at_the_deadline_is_as_late_as_one_that_says_nothing() -> None:
+    def handler(*_: object) -> bytes:
+        raise DeadlineExceeded("the drone's deadline is over")
+
+    with listening(handler) as address, pytest.raises(DeadlineExceeded, match=r"no answer within 4\.0 s"):
+        await request(address, timeout_s=4.0)
+
+
 async def test_no_answer_in_time_is_said_in_time() -> None:
     with stuck() as (handler, address):
         began_s = time.monotonic()

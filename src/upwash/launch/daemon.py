@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from upwash.config.daemon import DaemonConfig
 from upwash.core.admission.admission import AdmissionController, AdmissionSettings
 from upwash.core.admission.clients import Client
-from upwash.errors import Refused, UpwashError, UsageError
+from upwash.errors import DeadlineExceeded, UpwashError, UsageError
 from upwash.launch.confinement import Confinement, find_confinement
 from upwash.launch.daemon_changes import RunningDaemon, take_up
 from upwash.launch.daemon_keys import DaemonKeys, warn_without_list, watch_expiry
@@ -287,7 +287,7 @@ def _listener(
             return answer.result(timeout=min(caller.time_left_s() or _LONGEST_ANSWER_S, _LONGEST_ANSWER_S))
         except TimeoutError:
             answer.cancel()
-            raise Refused("the drone's deadline is over") from None
+            raise DeadlineExceeded("the drone's deadline is over") from None
 
     requests = Requests(
         answer_in_time,

@@ -11,7 +11,7 @@ from typing import Any
 import grpc
 
 from upwash.core.admission.clients import Client
-from upwash.errors import NoLease, NotBegun, Refused, UpwashError, UsageError
+from upwash.errors import DeadlineExceeded, NoLease, NotBegun, Refused, UpwashError, UsageError
 from upwash.real.link.requests import Caller, Requests, words_for_caller
 from upwash.rpc.protocol import HEALTH_CHECK, MAY_QUEUE_METADATA, QUEUE_METADATA, QUEUED_METADATA, SERVING
 from upwash.rpc.service import Reply, bounded_queue_s
@@ -191,6 +191,8 @@ def seconds_of(stated: str | bytes | None) -> float:
 def _status_of(error: BaseException) -> grpc.StatusCode:
     """gRPC's code for an error. Drones of a version without turns treat both of the first two as a refusal."""
     match error:
+        case DeadlineExceeded():  # as gRPC itself would say a moment later
+            return grpc.StatusCode.DEADLINE_EXCEEDED
         case NoLease():
             return grpc.StatusCode.PERMISSION_DENIED
         case NotBegun():  # which gRPC never sends by itself

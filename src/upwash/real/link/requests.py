@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from upwash.core.admission.clients import Client
-from upwash.errors import Refused, UpwashError
+from upwash.errors import DeadlineExceeded, Refused, UpwashError
 from upwash.real.host.log import RateLimitedLog
 from upwash.support.text import counted, printable
 
@@ -71,7 +71,7 @@ class Requests:
                     whose = "the computer that runs the service"
                     raise Refused(too_large("result", len(reply), self.max_message_bytes, whose=whose))
                 return reply
-        except Refused as refusal:
+        except (Refused, DeadlineExceeded) as refusal:
             name = caller.client.name or "an unnamed caller"
             _log.warning("refused %s to %s: %s", path, name, printable(str(refusal)), extra={"whom": name})
             raise
