@@ -66,12 +66,13 @@ class Story:
         self.now_s = max(self.now_s, event.t)
         if not self.tally.completed:
             self.tally.take(event)
+        # Most events of a long log are positions.
+        if type(event) is schema.PositionReport and not self._notices.is_stale(event.t):
+            self.explained, self.found, self.noticed = None, (), ()
+            return
         self.noticed = list(self._notices.take(event))
         for notice in self.noticed:
             self._ending.put(notice, event.t)
-        if type(event) is schema.PositionReport:  # most events of a long log
-            self.explained, self.found = None, ()
-            return
         self.explained, self.found = self.reasons.take(event), self.finder.take(event)
         self._take_explained(self.explained)
         match event:
