@@ -49,7 +49,7 @@ def detections() -> Iterator[bytes]:
 
 # Python and imports take 30 MB, the facts of a page 16 MB. Findings are kept twice: for tables and
 # files, and for the page, both as sightings and as objects.
-@pytest.mark.parametrize(("kind", "most_mb"), [(places, 75), (detections, 210)])
+@pytest.mark.parametrize(("kind", "most_mb"), [(places, 75), (detections, 175)])
 def test_a_report_is_made_in_bounded_memory(
     tmp_path: Path, kind: Callable[[], Iterator[bytes]], most_mb: int
 ) -> None:

@@ -85,8 +85,9 @@ def _table(found: Sequence[PlacedFinding], *, whose: bool) -> Markup:
     """A row a finding, with the names of their flights where it matters `whose` each is."""
     are_reviewed = any(each.review for each in found)
     flight, review = ["flight"] if whose else [], ["review"] if are_reviewed else []
-    rows = [
-        [
+
+    def row(each: PlacedFinding) -> list[str]:
+        return [
             str(each.number),
             *([each.flight.log] if whose else []),
             clock(each.mission_s),
@@ -95,10 +96,9 @@ def _table(found: Sequence[PlacedFinding], *, whose: bool) -> Markup:
             element("bdi", each.finding.words),  # may be written from right to left
             *([_reviewed(each)] if are_reviewed else []),
         ]
-        for each in found
-    ]
+
     heads = ["finding", *flight, "at", "waypoint", "place", "what the user was told", *review]
-    return table("Findings", heads, rows, rest="--findings FILE writes every finding")
+    return table("Findings", heads, found, row, rest="--findings FILE writes every finding")
 
 
 def _reviewed(found: PlacedFinding) -> Markup:

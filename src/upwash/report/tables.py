@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TypeVar
 
 from upwash.eventlog.ending import by_place
 from upwash.eventlog.results import RunResult, mean_local_delay_s
@@ -11,15 +12,27 @@ from upwash.report.record import Record
 
 _MOST_ROWS = 300  # of a table
 _AT_EITHER_END = 100
+Item = TypeVar("Item")
 
 
-def table(caption: str, heads: Sequence[str], rows: Sequence[Sequence[str]], *, rest: str) -> Markup:
-    """A table whose first column names its rows: of many the first and the last, and where the `rest` is."""
-    body = list(map(_row, rows))
-    if len(rows) > _MOST_ROWS:
-        left_out = f"{len(rows) - 2 * _AT_EITHER_END} rows are left out: {rest}"
-        gap = element("tr", element("td", left_out, colspan=str(len(heads))))
-        body[_AT_EITHER_END:-_AT_EITHER_END] = [gap]
+def table(
+    caption: str,
+    heads: Sequence[str],
+    items: Sequence[Item],
+    row_of: Callable[[Item], Sequence[str]],
+    *,
+    rest: str,
+) -> Markup:
+    """A table with a row for each item, named by its first cell: of many the first and the last, and the `rest`.
+
+    No row is made for an item that is left out: a long flight has more findings than memory has room for as markup.
+    """
+    first, last, gap = items, items[:0], list[Markup]()
+    if len(items) > _MOST_ROWS:
+        first, last = items[:_AT_EITHER_END], items[-_AT_EITHER_END:]
+        left_out = f"{len(items) - 2 * _AT_EITHER_END} rows are left out: {rest}"
+        gap = [element("tr", element("td", left_out, colspan=str(len(heads))))]
+    body = [*(_row(row_of(item)) for item in first), *gap, *(_row(row_of(item)) for item in last)]
     return framed(caption, list(map(_head, heads)), body)
 
 
@@ -45,8 +58,8 @@ def scrolled(content: Markup, name: str) -> Markup:
 def totals(records: Sequence[Record]) -> Markup:
     """The results of the flights, a column each."""
     heads = ["", *(record.name for record in records)]
-    body = [[name, *values] for name, values in total_rows([record.result for record in records])]
-    return table("Totals", heads, body, rest="--csv FILE writes every call")
+    rows = list(total_rows([record.result for record in records]))
+    return table("Totals", heads, rows, lambda row: [row[0], *row[1]], rest="--csv FILE writes every call")
 
 
 def total_rows(results: Sequence[RunResult]) -> Iterator[tuple[str, list[str]]]:
@@ -161,4 +174,4 @@ def flights(records: Sequence[Record]) -> Markup:
         "flight", "policy", "mission time", "calls", "waits, wasted", "fell back", "saved by offloading",
         "ended",
     ]  # fmt: skip
-    return table("Flights", heads, list(map(row, records)), rest="--json prints every result")
+    return table("Flights", heads, records, row, rest="--json prints every result")
