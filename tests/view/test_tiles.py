@@ -16,6 +16,7 @@ from starlette.types import ASGIApp, Message, Scope
 from tests.events import line
 from tests.maps import folder_with, picture
 
+from upwash.cli.arguments import read_map
 from upwash.cli.main import main
 from upwash.core.geo import GeoPosition
 from upwash.errors import UsageError
@@ -71,7 +72,7 @@ def pmtiles(where: Path, kind: TileType = TileType.PNG) -> Path:
 
 @pytest.mark.parametrize(("make", "credit"), [(folder, ""), (mbtiles, "Maps: us"), (pmtiles, "Maps: us")])
 def test_each_tile_is_found_where_it_lies(make: Callable[[Path], Path], credit: str, tmp_path: Path) -> None:
-    source = str(make(tmp_path))
+    source = make(tmp_path)
     found = base_map(source)
     assert found.find is not None
     assert (found.tiles.from_zoom, found.tiles.to_zoom, found.tiles.credit) == (*ZOOMS, credit)
@@ -110,7 +111,7 @@ def test_what_is_no_map_is_refused(
     Path("vector").mkdir()
     pmtiles(Path("vector"), TileType.MVT)
     with pytest.raises(UsageError, match=re.escape(why)):
-        base_map(source)
+        base_map(read_map(source))
 
 
 def asked_for(app: ASGIApp, path: str) -> tuple[int, str, bytes]:
@@ -136,7 +137,7 @@ def asked_for(app: ASGIApp, path: str) -> tuple[int, str, bytes]:
 
 
 def test_the_program_of_the_page_serves_its_tiles_and_no_other_file(tmp_path: Path) -> None:
-    beneath = base_map(str(folder(tmp_path)))
+    beneath = base_map(folder(tmp_path))
     (tmp_path / "map" / "17" / "1").mkdir()
     (tmp_path / "map" / "17" / "1" / "1.png").write_text("secret: no picture")
     app = application(Feed([]), PhotoShelf(None), beneath)

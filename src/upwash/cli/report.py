@@ -143,7 +143,7 @@ def _tell_reviews(records: Sequence[Record]) -> None:
 def _page(records: Sequence[Record], *, options: argparse.Namespace) -> Iterable[bytes]:
     flown = others_flown(options.logs, options.scenario)
     photos = options.photos[0] if options.photos else None
-    beneath = base_map(str(options.tiles), options.credit) if options.tiles else None
+    beneath = base_map(options.tiles, options.credit) if options.tiles else None
     return write_page(
         options.logs, records, photos=photos, flown=flown, unreviewed=options.unreviewed, beneath=beneath
     )

@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> None:
             port=options.port,
             photos=options.photos,
             flown=others_flown(options.logs, options.scenario),
-            beneath=base_map(str(options.tiles), options.credit) if options.tiles else None,
+            beneath=base_map(options.tiles, options.credit) if options.tiles else None,
             ready=lambda address: announce(f"view ready at {address}"),
         )
     )

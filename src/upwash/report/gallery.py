@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 
 from upwash.eventlog.objects import Outline
 from upwash.eventlog.progress import clock
 from upwash.report.crops import Crop, cut_out
 from upwash.report.findings import MOST_PICTURED
-from upwash.report.markup import Markup, element, joined
+from upwash.report.markup import Markup, element, in_document, joined
 from upwash.report.numbering import PlacedFinding
 from upwash.report.photos import PhotoShelf
 from upwash.report.reviewed import ReviewedFindings
@@ -21,11 +20,6 @@ _WITHOUT = (
     "too, and those of a video device are not kept."
 )
 _LONGEST_LABEL = 60  # characters
-
-
-def in_document(jpeg: bytes) -> str:
-    """The address of a picture that is in the document itself."""
-    return f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}"
 
 
 def draw_findings(reviewed: ReviewedFindings, shelf: PhotoShelf, *, most: int, whose: bool = False) -> Markup:

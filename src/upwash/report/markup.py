@@ -49,6 +49,11 @@ def head(title: str, style: str, *more: Markup, policy: str = "") -> Markup:
     )
 
 
+def in_document(content: bytes, kind: str = "image/jpeg") -> str:
+    """The URL of a picture that is in the document itself; `kind` is its media type."""
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+
+
 def source_of(text: str) -> str:
     """A script or a style as a policy names it."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

@@ -1,4 +1,4 @@
-"""HTTP servers by uvicorn, with bounds, so that no client holds up others. Nothing else of upwash imports uvicorn.
+"""HTTP servers by uvicorn, with bounds, so that no client holds up others. Nothing else of upwash uses uvicorn.
 
 A request has 5 s to arrive and 16 KiB. Of more than 64 connections the oldest is closed: if new ones were refused,
 any program in reach could lock the others out.

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 import functools
 import re
 from graphlib import TopologicalSorter
 from importlib.resources import files
 
-from upwash.report.markup import Markup, element, head, source_of
+from upwash.report.markup import Markup, element, head, in_document, source_of
 from upwash.report.palette import stylesheet
 
 _PAGE = files("upwash.view") / "page"
@@ -41,7 +40,7 @@ def _read(name: str) -> str:
 
 @functools.cache
 def _icon() -> str:
-    return f"data:image/svg+xml;base64,{base64.b64encode((_PAGE / 'icon.svg').read_bytes()).decode()}"
+    return in_document((_PAGE / "icon.svg").read_bytes(), "image/svg+xml")
 
 
 @functools.cache

@@ -12,7 +12,7 @@ from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.eventlog.results import RunResult
 from upwash.report.crops import shrunk
 from upwash.report.finding_files import as_csv, as_geojson, as_kml
-from upwash.report.gallery import in_document
+from upwash.report.markup import in_document
 from upwash.report.photos import PhotoShelf, Shot
 from upwash.report.record import Record, reviewed_of
 from upwash.report.sheet import draw_sheet

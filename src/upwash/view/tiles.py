@@ -5,7 +5,6 @@ Tiles are pictures in Web Mercator, counted from the north-west. MBTiles count t
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import itertools
 import math
@@ -20,6 +19,7 @@ import msgspec
 
 from upwash.core.geo import GeoPosition
 from upwash.errors import UsageError
+from upwash.report.markup import in_document
 from upwash.support.loading import extra
 
 _URL = re.compile(r"(https?://[A-Za-z0-9.-]+(?::\d+)?)/[^\s\"'<>]*")
@@ -64,28 +64,27 @@ class BaseMap(NamedTuple):
     find: Find | None = None
 
 
-def base_map(source: str, credit: str = "") -> BaseMap:
-    """The map at a URL, in a folder ZOOM/X/Y.png, or in a file .mbtiles or .pmtiles; raises UsageError."""
-    if source.startswith(("http://", "https://")):
+def base_map(source: Path | str, credit: str = "") -> BaseMap:
+    """The map at a URL, or of a path: a folder ZOOM/X/Y.png, or a file .mbtiles or .pmtiles; raises UsageError."""
+    if isinstance(source, str):
         if _URL.fullmatch(source) is None or not all(part in source for part in ("{z}", "{x}", "{y}")):
             raise UsageError(
                 f"{source!r} is no address of map tiles: write it as https://HOST/{{z}}/{{x}}/{{y}}.png"
             )
         return BaseMap(Tiles(source, credit))
-    path = Path(source)
     openers = {".mbtiles": _mbtiles, ".pmtiles": _pmtiles}
-    opener = _folder if path.is_dir() else openers.get(path.suffix.lower())
+    opener = _folder if source.is_dir() else openers.get(source.suffix.lower())
     if opener is None:
         raise UsageError(
-            f"{path} is no map: give a folder with tiles as ZOOM/X/Y.png, a file .mbtiles or .pmtiles, or "
+            f"{source} is no map: give a folder with tiles as ZOOM/X/Y.png, a file .mbtiles or .pmtiles, or "
             "https://HOST/{z}/{x}/{y}.png"
         )
     try:
-        find, from_zoom, to_zoom, own_credit = opener(path)
+        find, from_zoom, to_zoom, own_credit = opener(source)
     except OSError as error:
-        raise UsageError(f"{path} cannot be read: {error.strerror or error}") from error
+        raise UsageError(f"{source} cannot be read: {error.strerror or error}") from error
     if not 0 <= from_zoom <= to_zoom <= _MOST_ZOOM:
-        raise UsageError(f"{path} has no zooms from 0 to {_MOST_ZOOM}: it says {from_zoom} to {to_zoom}")
+        raise UsageError(f"{source} has no zooms from 0 to {_MOST_ZOOM}: it says {from_zoom} to {to_zoom}")
     return BaseMap(Tiles(_SERVED, credit or own_credit, from_zoom, to_zoom), find)
 
 
@@ -208,7 +207,7 @@ def inlined(
 def _urls(find: Find, zoom: int, wanted: Iterable[tuple[int, int]]) -> Iterator[tuple[str, str]]:
     for x, y in wanted:
         if (tile := find(zoom, x, y)) is not None and (kind := kind_of(tile)) is not None:
-            yield f"{zoom}/{x}/{y}", f"data:{kind};base64,{base64.b64encode(tile).decode()}"
+            yield f"{zoom}/{x}/{y}", in_document(tile, kind)
 
 
 def _around(corners: Iterable[GeoPosition], zoom: int) -> list[tuple[int, int]]:

@@ -14,8 +14,7 @@ from upwash.report.client.objects import draw_objects, listed
 from upwash.report.client.sitemap import DrawnMap, SiteMap, sites_of
 from upwash.report.client.survey import Flown, Survey, survey_of
 from upwash.report.client.words import NO_WORDS, Words
-from upwash.report.gallery import in_document
-from upwash.report.markup import Markup, element, head, joined, source_of
+from upwash.report.markup import Markup, element, head, in_document, joined, source_of
 from upwash.report.palette import DARK, LIGHT, Theme
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record

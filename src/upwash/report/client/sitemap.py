@@ -13,8 +13,7 @@ from upwash.report.client.labels import Label, place_labels
 from upwash.report.client.mosaic import Bounds
 from upwash.report.client.survey import Inspected, Photograph, Survey
 from upwash.report.client.words import Words
-from upwash.report.gallery import in_document
-from upwash.report.markup import Markup, element, joined
+from upwash.report.markup import Markup, element, in_document, joined
 from upwash.report.palette import components
 
 _SAME_SITE_M = 1500.0  # between homes: flights on one map
