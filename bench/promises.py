@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
@@ -65,7 +65,7 @@ def _measured(result: Result) -> str:
     return f"at commit {result.commit} on {result.day}, at a load of {result.load:.1f}"
 
 
-def _table(head: Sequence[str], rows: Iterator[Sequence[object]]) -> str:
+def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     first, *rest = (f"| {' | '.join(map(str, line))} |" for line in (head, *rows))
     return "\n".join((first, "|---" * len(head) + "|", *rest))
 
@@ -94,7 +94,7 @@ def _faults(result: Result) -> str:
     figures = _figures(result, Figures)
     delay_s, bound_s = figures.longest_s
     broke = "none broke a promise" if not figures.broken else f"{figures.broken} broke a promise"
-    struck = ", ".join(f"{what} {times}" for what, times in figures.strikes.items())
+    struck = _table(("fault", "times"), figures.strikes.items())
     back = _table(
         ("black-out", "times", "a call at the server again after"),
         (
@@ -106,7 +106,7 @@ def _faults(result: Result) -> str:
         f"`{result.command}` {_measured(result)}: {figures.flights} flights of two drones, {broke}. "
         f"Of {figures.calls:,} calls {figures.remote_calls:,} were answered by servers. The longest took "
         f"{delay_s:.2f} s of at most {bound_s:.2f} s; none left less than {figures.spare_s:.3f} s of its bound."
-        f"\n\n{back}\n\nFaults, by how often they struck: {struck}."
+        f"\n\n{back}\n\n{struck}"
     )
 
 
@@ -128,10 +128,10 @@ def _hostile(result: Result) -> str:
 def _fuzz(result: Result) -> str:
     figures = _figures(result, list[Fuzzed])
     runs, findings = (sum(getattr(figure, name) for figure in figures) for name in ("runs", "findings"))
-    decoders = ", ".join(figure.harness for figure in figures)
+    decoders = _table(("decoder", "inputs"), ((figure.harness, f"{figure.runs:,}") for figure in figures))
     return (
         f"`{result.command}` {_measured(result)}: {runs:,} inputs for {len(figures)} decoders, {findings} "
-        f"findings. Decoders: {decoders}."
+        f"findings.\n\n{decoders}"
     )
 
 

@@ -194,7 +194,7 @@ def fly_with_progress(
 def _with_speed(config: DroneConfig, program: str | None) -> tuple[DroneConfig, str]:
     """The configuration with its ground speed, and why; a speed that is chosen is flown in simulation here.
 
-    What the mission prints meanwhile is not shown, as it has yet to be flown.
+    The simulation's missions print nothing: the mission is still to be flown.
     """
     if config.mission.speed == "given":
         return config, ""

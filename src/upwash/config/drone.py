@@ -151,9 +151,9 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The mission ends early if the way home would leave fewer seconds of flight: [the
     reserve](flight-ends.md#the-reserve)."""
     finish_by_s: values.Positive | None = None
-    """The time by which the mission must end, in seconds from arming: [lighter calls](calls.md#lighter-calls)."""
+    """The latest end of the mission, in seconds from arming: [lighter calls](calls.md#lighter-calls)."""
     lighter: values.KeysByKey = {}
-    """The lighter profile key of calls while the mission would end after `finish_by_s`."""
+    """The profile key for calls while the mission is late for `finish_by_s`."""
 
     @property
     def only_tells(self) -> bool:
@@ -415,8 +415,8 @@ class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     max_reply_bytes: values.MessageBytes = 4_194_304
     """The largest reply of a server: a larger one is not received, and the drone computes the call."""
     local_call_s: values.SecondsOfEachKey
-    """A call on the drone, in seconds: one number, or one for each profile key or method; `upwash profile`
-    measures it. Left out of [a service that only servers run](calls.md#only-servers)."""
+    """A call on the drone, in seconds; `upwash profile` measures it. A method may be a key too. Left out of
+    [a service that only servers run](calls.md#only-servers)."""
     waiting_bytes: values.Bytes = 268_435_456
     """If only servers run it: the most that requests of waiting calls keep in memory, in bytes; beyond it the oldest
     ends without an answer."""

@@ -81,9 +81,8 @@ class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     idle: Literal["stop", "freeze"] = "freeze"
     """What happens to an unused instance in a container."""
     devices: Devices = ()
-    """[Devices](small-computers.md#a-graphics-card) of this machine for every service without `devices` of its own:
-    paths such as `/dev/dri`, or names of the Container Device Interface such as `nvidia.com/gpu=all`; not of LXD or
-    Incus."""
+    """[Devices](small-computers.md#a-graphics-card) of this machine for every service without its own. Names
+    are those of the Container Device Interface. LXD and Incus have none."""
     engine: EngineConfig = EngineConfig()
     network: ContainerNetworkConfig = ContainerNetworkConfig()
 

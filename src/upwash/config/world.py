@@ -104,9 +104,9 @@ class EventConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Objects on level ground, in place of `every` and `probability`. The camera looks straight down, north up, and
     each photo has an error of its own, as GPS has one."""
     missed: values.SharesByKey = {}
-    """The share of these waypoints where calls of a profile key see nothing: [two answers](calls.md#two-answers)."""
+    """The share of these waypoints where calls see nothing: [two answers](calls.md#two-answers)."""
     false_alarms: values.SharesByKey = {}
-    """The share of other waypoints where calls with a profile key demand an action too."""
+    """The share of other waypoints where calls demand an action too."""
 
     def mistakes(self, *, demands: bool) -> Mapping[str, float]:
         """The chance of a mistake by profile key, at a waypoint whose answer `demands` an action, or at another."""

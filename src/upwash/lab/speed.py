@@ -1,8 +1,7 @@
 """The ground speed of rows: the quickest of those that are flown in simulation, for `mission.speed = "auto"`.
 
     limits     the highest speeds by the photos and by the vehicle
-    tried      the highest; then in equal ratios down to the speed at which the rows alone take as long; then halves
-               around the best
+    tried      the highest; then in equal ratios down, until the rows alone take as long; then halves around the best
     chosen     the lowest speed whose mission is at most 0.2 % longer than the shortest
 
 Each mission is flown in the world that the drone believes in. Where a drone has to stop for answers, a slightly lower
@@ -153,7 +152,7 @@ def choose_speed(
         return True
 
     def least_m_s() -> float:
-        """The speed at which the rows alone take as long as the shortest mission until now."""
+        """The least speed worth a try: below it the rows alone take longer than the shortest mission until now."""
         return rows_m / min(one.mission_s for one in found.values())
 
     if found[top_m_s].is_held_up:
