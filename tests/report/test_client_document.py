@@ -25,7 +25,7 @@ from upwash.report.client.words import read_words
 from upwash.report.crops import pixels_of
 from upwash.report.finding_files import facts_of
 from upwash.report.photos import PhotoShelf
-from upwash.report.record import findings_of, read_records
+from upwash.report.record import read_records, reviewed_of
 
 HOME = {"latitude_deg": 39.0, "longitude_deg": 22.0}
 INTERNAL = re.compile(
@@ -169,7 +169,7 @@ def test_numbers_are_those_of_the_other_files(tmp_path: Path) -> None:
     own = flight(tmp_path / "a.jsonl", [box()], [box(400, 300, label="crack")])
     fleet = [own, flight(tmp_path / "b.jsonl", [box(10, 400, label="hole")], drone="other")]
     assert numbers(parsed(made(*fleet))) == [
-        str(facts_of(each)["number"]) for each in findings_of(read_records(fleet))
+        str(facts_of(each)["number"]) for each in reviewed_of(read_records(fleet)).objects
     ]
     again = flight(tmp_path / "c.jsonl", [box()])
     page = parsed(made(own, again))

@@ -28,7 +28,7 @@ from upwash.report.finding_files import as_csv, as_geojson, as_kml, as_zip
 from upwash.report.findings import OF_DRONE, OF_MISSION, OF_OBJECT, Finding
 from upwash.report.numbering import FlightFindings, PlacedFinding, numbered
 from upwash.report.photos import PhotoShelf
-from upwash.report.record import findings_of, read_records
+from upwash.report.record import read_records, reviewed_of
 
 KML = "{http://www.opengis.net/kml/2.2}"
 Rows = list[dict[str, str]]
@@ -87,7 +87,7 @@ READERS = [from_csv, from_geojson, from_kml, from_fastkml]
 
 
 def found(*logs: Path) -> list[PlacedFinding]:
-    return findings_of(read_records(logs))
+    return reviewed_of(read_records(logs)).objects
 
 
 @pytest.mark.parametrize("rows_of", READERS)

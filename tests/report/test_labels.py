@@ -14,7 +14,7 @@ from tests.report.pages import parsed, table_named, text
 from tests.report.test_findings import BOX, flight, jpeg
 
 from upwash.report.finding_files import as_csv, as_geojson, as_kml
-from upwash.report.record import findings_of, read_records
+from upwash.report.record import read_records, reviewed_of
 from upwash.support.text import escaped
 from upwash.view.file import write_page
 
@@ -37,7 +37,7 @@ def test_a_label_is_text_everywhere(tmp_path: Path, label: str, *, formula: bool
     (tmp_path / "1.jpg").write_bytes(jpeg())
     log = flight(tmp_path / "f.jsonl", [{**BOX, "label": label}])
     records, shown = read_records([log]), escaped(label)
-    found = findings_of(records)
+    found = reviewed_of(records).objects
 
     (row,) = csv.DictReader(io.StringIO(as_csv(found)))
     assert row["label"] == ("'" if formula else "") + shown

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import csv
 import itertools
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -406,7 +406,8 @@ def test_photos_of_a_camera_at_the_autopilot_lie_where_the_autopilot_says(going:
         t=going.began_s + 3.0, camera=1, number=7, position=Position(1.0, 2.0, 20.0), latitude_deg=39.4,
         longitude_deg=22.9, above_sea_m=120.0, taken=datetime(2026, 3, 1, tzinfo=UTC),
     )  # fmt: skip
-    record = replace(going, events=[placed, schema.AutopilotPhoto(t=going.began_s, camera=1, number=8)])
+    record = copy.copy(going)
+    record.events = [placed, schema.AutopilotPhoto(t=going.began_s, camera=1, number=8)]
     features = json.loads(write_geojson([record]))["features"]
     (photo,) = (each for each in features if each["properties"]["kind"] == "autopilot_photo")
     assert photo["geometry"]["coordinates"] == [22.9, 39.4]

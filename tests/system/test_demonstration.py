@@ -29,7 +29,7 @@ from upwash.eventlog.log import EventLog
 from upwash.eventlog.progress import clock
 from upwash.eventlog.results import RunResult, read_result
 from upwash.lab.run import simulate
-from upwash.report.record import findings_of, read_records
+from upwash.report.record import read_records, reviewed_of
 from upwash.services.solar_park.geometry import Area, Breakage, HotSpot, Park
 
 pytestmark = [pytest.mark.system, pytest.mark.flight, pytest.mark.long, pytest.mark.timeout(240)]
@@ -196,7 +196,9 @@ def check_places(log: Path) -> None:
         for module in table.modules
         if module.fault is not None
     ]
-    found = [each.finding for each in findings_of(read_records([log])) if (each.finding.score or 0) > 0.9]
+    found = [
+        each.finding for each in reviewed_of(read_records([log])).objects if (each.finding.score or 0) > 0.9
+    ]
     assert len(found) >= 10
     for finding in found:
         own = finding.own

@@ -20,7 +20,7 @@ from tests.view.hostile_logs import hostile_log
 from upwash.cli.main import main
 from upwash.errors import UpwashError
 from upwash.report.finding_files import as_csv
-from upwash.report.record import findings_of, read_records
+from upwash.report.record import read_records, reviewed_of
 from upwash.services import solar_park
 from upwash.view.document import document
 from upwash.view.file import write_page
@@ -103,7 +103,7 @@ def test_a_file_has_the_findings_with_their_pictures_and_as_files(tmp_path: Path
     ]
     assert re.findall(r'<image id="(\S+)" href="data:image/jpeg;base64,', document) == ["crop-0-1"]
     (files,) = Reading(document).content["script#files"]
-    assert json.loads(files)["findings.csv"] == as_csv(findings_of(read_records([log])))
+    assert json.loads(files)["findings.csv"] == as_csv(reviewed_of(read_records([log])).objects)
     assert set(json.loads(files)) == {"findings.csv", "findings.geojson", "findings.kml"}
 
 

@@ -154,7 +154,7 @@ def _in_utf8(write: Callable[[Sequence[Record]], str]) -> Writer:
 
 
 def _findings(records: Sequence[Record], *, file: Path, photos: Path | None) -> bytes:
-    return findings_file(_suffix(file), [record.found for record in records], PhotoShelf(photos))
+    return findings_file(_suffix(file), [record.flight for record in records], PhotoShelf(photos))
 
 
 def _suffix(file: Path) -> str:

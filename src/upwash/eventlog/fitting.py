@@ -13,10 +13,7 @@ from upwash.eventlog.schema import LONGEST, LONGEST_TEXT, MOST_FEW, Event
 from upwash.support.text import counted, json_line, printable
 
 _LONGEST_WHY = 200  # characters
-_DEEPEST = {
-    schema.Notified: 3,
-    schema.PhotoTaken: 3,
-}  # containers in containers, of events with foreign content
+_DEEPEST = {schema.Notified: 3, schema.PhotoTaken: 3}  # containers in containers, of foreign content
 _FLAT = 10  # of all other events: deeper than any
 
 

@@ -213,7 +213,6 @@ class LineReader:
         return None
 
     def _leave_out(self, why: str, lines: int = 1) -> None:
-        """Leave out the next lines."""
         if not self._left_out:
             self._first_left_out = f"line {self._number + 1}: {why}"
         self._number += lines

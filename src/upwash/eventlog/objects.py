@@ -12,7 +12,6 @@ the name of a field, and a score is optional.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import TypeGuard
 
@@ -44,12 +43,8 @@ class Outline(msgspec.Struct, frozen=True, omit_defaults=True, gc=False):
     @property
     def middle_and_size(self) -> tuple[float, float, float, float]:
         """The middle, to the right and down, and the size."""
-        return (
-            self.left_px + self.width_px / 2,
-            self.top_px + self.height_px / 2,
-            self.width_px,
-            self.height_px,
-        )
+        middle = self.left_px + self.width_px / 2, self.top_px + self.height_px / 2
+        return *middle, self.width_px, self.height_px
 
 
 def found_objects(message: object) -> list[Outline] | None:
@@ -99,9 +94,4 @@ def _numbers(
 
 
 def _is_number(value: object) -> TypeGuard[float]:
-    return (
-        isinstance(value, int | float)
-        and not isinstance(value, bool)
-        and math.isfinite(value)
-        and abs(value) <= _FARTHEST_PX
-    )
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _FARTHEST_PX

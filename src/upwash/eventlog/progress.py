@@ -8,17 +8,8 @@ from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 
 # Most events of a long log are positions: a set lookup skips them faster than a match statement.
-TIME_EVENTS = frozenset(
-    {
-        schema.MissionStarted,
-        schema.Armed,
-        schema.PhotoTaken,
-        schema.CallStarted,
-        schema.Call,
-        schema.SetOff,
-        schema.LogResumed,
-    }
-)
+_UNDER_WAY = schema.PhotoTaken, schema.CallStarted, schema.Call, schema.SetOff, schema.LogResumed
+TIME_EVENTS = frozenset({schema.MissionStarted, schema.Armed, *_UNDER_WAY})
 
 
 class MissionTime:
@@ -35,22 +26,15 @@ class MissionTime:
 
     def take(self, event: Event) -> None:
         """Takes in the next event."""
-        if type(event) not in TIME_EVENTS:
+        if type(event) not in TIME_EVENTS or self._settled:
             return
-        match event:
-            case schema.MissionStarted() if self.at_s is None:
-                self.at_s = event.t
-            case schema.Armed() if self.at_s is not None and not self._settled:
-                self.arming_s = event.t - self.at_s
-                self.at_s, self._settled = event.t, True
-            case (
-                schema.PhotoTaken()
-                | schema.CallStarted()
-                | schema.Call()
-                | schema.SetOff()
-                | schema.LogResumed()
-            ) if self.at_s is not None:
-                self._settled = True
+        if self.at_s is None:
+            self.at_s = event.t if isinstance(event, schema.MissionStarted) else None
+        elif isinstance(event, schema.Armed):
+            self.arming_s = event.t - self.at_s
+            self.at_s, self._settled = event.t, True
+        elif isinstance(event, _UNDER_WAY):
+            self._settled = True
 
     def text(self, t: float) -> str:
         """A second of the log as text: of the mission; before its begin the second of the log, in brackets."""
@@ -125,16 +109,8 @@ class CallPlaces:
         return None
 
 
-DEMAND_EVENTS = frozenset(
-    {
-        schema.MissionStarted,
-        schema.CallStarted,
-        schema.Demanded,
-        schema.AnswerTaken,
-        schema.Acted,
-        schema.NotActed,
-    }
-)
+_OF_DEMANDS = schema.CallStarted, schema.Demanded, schema.AnswerTaken, schema.Acted, schema.NotActed
+DEMAND_EVENTS = frozenset({schema.MissionStarted, *_OF_DEMANDS})
 
 
 class OpenDemands:

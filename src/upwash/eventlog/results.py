@@ -262,7 +262,11 @@ class Tally:
                 self._waits += [event.wait] if event.wait else []
                 self._fallbacks += event.fell_back
             case schema.AnswerTaken() if (number := self.whereabouts.answered) is not None:
-                self._calls[number] = _waited_for(self._calls[number], event.waited_s)
+                hidden_s = (
+                    self._calls[number].delay_s - event.waited_s
+                )  # the mission did not wait for that time
+                if hidden_s >= _LEAST_HIDDEN_S:
+                    self._calls[number] = replace(self._calls[number], hidden_s=hidden_s)
             case schema.StayOrGo() | schema.TurnedBack():
                 self._went_on += isinstance(event, schema.StayOrGo) and event.goes
                 self._turned_back += isinstance(event, schema.TurnedBack)
@@ -362,12 +366,6 @@ def _call(event: schema.Call, waypoint: int | None, began_s: float) -> CallResul
         wait=event.wait,
         fell_back=event.fell_back,
     )
-
-
-def _waited_for(call: CallResult, waited_s: float) -> CallResult:
-    """The call, with the time that the mission did not wait for its answer."""
-    hidden_s = call.delay_s - waited_s
-    return replace(call, hidden_s=hidden_s) if hidden_s >= _LEAST_HIDDEN_S else call
 
 
 def mean_local_delay_s(calls: Iterable[CallResult]) -> dict[str, float]:

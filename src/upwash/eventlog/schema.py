@@ -26,16 +26,8 @@ from upwash.core.vehicle.control import Owner
 from upwash.core.vehicle.telemetry import FixKind
 
 VERSION = 6  # of the log; logs of earlier releases have none
-SEVERITIES = (
-    "emergency",
-    "alert",
-    "critical",
-    "error",
-    "warning",
-    "notice",
-    "info",
-    "debug",
-)  # MAVLink's, from 0
+# MAVLink's, from 0
+SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
 
 _UNSTAMPED = float("nan")  # known by its identity: the time of an event that no journal has recorded yet
 _Time: TypeAlias = Annotated[datetime, msgspec.Meta(tz=True)]
@@ -94,8 +86,6 @@ def kind_of(event: type[Event]) -> str:
 
 
 class _Explained(Event, frozen=True, kw_only=True):
-    """An event with its reason."""
-
     why: Text
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
-from msgspec import structs
+from msgspec.structs import replace
 
 from upwash.config.checks import only_on_servers
 from upwash.config.drone import DroneConfig, PolicyConfig, ServiceConfig
@@ -47,16 +47,10 @@ class _Made:
         """The servers that could answer the call."""
         return (*self.call.offers, *self.on_the_way)
 
-    @property
-    def least_wait_s(self) -> float:
-        """The least wait (s) of the mission for the call, with every server joined."""
-        call_s = min([self.call.local_s, *(offer.call_s for offer in self.offers)])
-        return max(0.0, call_s - self.way_s)
-
-    @property
-    def least_local_wait_s(self) -> float:
-        """The least wait (s) of the mission for the call, without any server."""
-        return max(0.0, self.call.local_s - self.way_s)
+    def least_wait_s(self, *, joined: bool) -> float:
+        """The least wait (s) of the mission for the call: with every server `joined`, or without any."""
+        remote_s = [offer.call_s for offer in self.offers] if joined else []
+        return max(0.0, min([self.call.local_s, *remote_s]) - self.way_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,13 +68,16 @@ class _Mission:
     @property
     def local_s(self) -> float:
         """The least time with every call on the drone."""
-        return self.other_s + max(self.acting_s, sum(made.least_local_wait_s for made in self.calls))
+        return self._least_s(joined=False)
+
+    def _least_s(self, *, joined: bool) -> float:
+        waits_s = sum(made.least_wait_s(joined=joined) for made in self.calls)
+        return self.other_s + max(self.acting_s, waits_s)
 
     def bound(self, truths: Mapping[str, ServerTruth]) -> Bound:
         """The least times of the mission."""
         if self.may_go:
-            least_s = self.other_s + max(self.acting_s, sum(made.least_wait_s for made in self.calls))
-            return Bound(least_s, least_s)
+            return Bound(self._least_s(joined=True), self._least_s(joined=True))
         joins_s = {name: truth.join_s for name, truth in truths.items()}
         calls = bound([made.call for made in self.calls], joins_s)
         return Bound(self.other_s + calls.free_s, self.other_s + calls.with_joins_s)
@@ -108,9 +105,7 @@ def bounds_of(
     """
     own: list[Bound | None] = []
     missions: list[SharedMission] = []
-    rates: dict[
-        tuple[str, str], float
-    ] = {}  # by server and service: the most that is saved in a second of a lane
+    rates: dict[tuple[str, str], float] = {}  # by server and service, the most that a second of a lane saves
     for run, config in zip(runs, fleet, strict=True):
         if not run.result.completed:
             own.append(None)
@@ -118,7 +113,8 @@ def bounds_of(
         truths = _truths(config)
         mission = _mission(run, config, truths)
         own.append(found := mission.bound(truths))
-        missions.append(SharedMission(_begun_s(run), mission.local_s, found.free_s))
+        ended_s = next(event.t for event in run.events if isinstance(event, schema.MissionCompleted))
+        missions.append(SharedMission(ended_s - run.result.mission_time_s, mission.local_s, found.free_s))
         for instance, rate in _rates(mission.calls, truths):
             rates[instance] = max(rates.get(instance, 0.0), rate)
     if not missions:
@@ -151,27 +147,18 @@ def _mission(run: Run, config: DroneConfig, truths: Mapping[str, ServerTruth]) -
     return _Mission(calls, min(mission_s - acting_s, alone.time_s), may_go=True, acting_s=acting_s)
 
 
-def _ways_s(alone: Alone | None) -> dict[int, float]:
-    """The time from each call of a mission, by its number, to the next one; none from the last."""
-    started_s = () if alone is None else alone.started_s
-    ways_s = [following_s - since_s for since_s, following_s in itertools.pairwise(started_s)]
-    return dict(enumerate([*ways_s, 0.0]))
-
-
 def _way_alone(run: Run, config: DroneConfig) -> Alone | None:
     """The way alone, without a wait, an action or a way back; None if the program needs its answers.
 
     A call that only servers compute need not be waited for.
     """
-    replace = structs.replace
-    services = tuple(
-        replace(
-            service, local_call_s=dict.fromkeys(service.local_call_s, _NO_TIME_S), local_first_extra_s=0.0
-        )
-        if not only_on_servers(service)
-        else service
-        for service in config.services
-    )
+
+    def in_no_time(service: ServiceConfig) -> ServiceConfig:
+        if only_on_servers(service):
+            return service
+        call_s = dict.fromkeys(service.local_call_s, _NO_TIME_S)
+        return replace(service, local_call_s=call_s, local_first_extra_s=0.0)
+
     mission = config.mission
     for event in run.events:
         if isinstance(event, schema.SpeedChosen):
@@ -180,7 +167,7 @@ def _way_alone(run: Run, config: DroneConfig) -> Alone | None:
         config,
         mission=mission,
         servers=(),
-        services=services,
+        services=tuple(map(in_no_time, config.services)),
         event=None,
         heat=None,
         energy=None,
@@ -191,12 +178,6 @@ def _way_alone(run: Run, config: DroneConfig) -> Alone | None:
         return flown_alone(alone)
     except MissionFailed:
         return None
-
-
-def _begun_s(run: Run) -> float:
-    """When a completed mission's time began, in simulated seconds."""
-    ended_s = next(event.t for event in run.events if isinstance(event, schema.MissionCompleted))
-    return ended_s - run.result.mission_time_s
 
 
 def _rates(
@@ -229,7 +210,9 @@ def _made(
     places = server_places(config)
     ended_s, position, decided = 0.0, Position(0.0, 0.0), False
     starts_s = [event.t for event in run.events if isinstance(event, schema.CallStarted)]
-    ways_s = _ways_s(alone)
+    alone_s = () if alone is None else alone.started_s
+    ways_s = [following_s - since_s for since_s, following_s in itertools.pairwise(alone_s)]
+    ways_s.append(0.0)  # from the last call
     number, is_started = -1, False
     for event in run.events:
         match event:
@@ -244,40 +227,21 @@ def _made(
                 service = services[operation.service]
                 hides = is_started and alone is not None
                 until_s = [*starts_s, begun_s][number + 1] if hides else begun_s
-                offers = [
-                    Offer(
-                        stay.server,
-                        _remote_s(
-                            operation,
-                            service,
-                            truths[stay.server],
-                            Spot(ground_distance_m(position, places[stay.server]), position),
-                            less=estimates.may_send_less(stay.server, operation),
-                        ),
-                        begun_s - max(ended_s, stay.from_s),
-                    )
-                    for stay in run.range_intervals
-                    if stay.from_s <= begun_s < stay.to_s
-                ]
-                on_the_way = [
-                    Offer(
-                        stay.server,
-                        _remote_s(
-                            operation,
-                            service,
-                            truths[stay.server],
-                            Spot(0.0),
-                            less=estimates.may_send_less(stay.server, operation),
-                        ),
-                        0.0,
-                    )
-                    for stay in run.range_intervals
-                    if stay.from_s < until_s and stay.to_s > begun_s
-                ]
+                offers, on_the_way = list[Offer](), list[Offer]()
+                for stay in run.range_intervals:
+                    truth, less = truths[stay.server], estimates.may_send_less(stay.server, operation)
+                    if stay.from_s <= begun_s < stay.to_s:
+                        spot = Spot(ground_distance_m(position, places[stay.server]), position)
+                        call_s = _remote_s(operation, service, truth, spot, less=less)
+                        offers.append(Offer(stay.server, call_s, begun_s - max(ended_s, stay.from_s)))
+                    if stay.from_s < until_s and stay.to_s > begun_s:
+                        call_s = _remote_s(operation, service, truth, Spot(0.0), less=less)
+                        on_the_way.append(Offer(stay.server, call_s, 0.0))
                 computed = twice[operation].first if operation in twice else operation
                 local_s = delay_of(computed, service.local_call_s)
                 call = ComingCall(local_s, begun_s - ended_s, offers)
-                yield _Made(operation, call, ways_s.get(number, math.inf) if hides else 0.0, on_the_way)
+                way_s = ways_s[number] if number < len(ways_s) else math.inf
+                yield _Made(operation, call, way_s if hides else 0.0, on_the_way)
                 ended_s, decided, is_started = now_s, False, False
 
 

@@ -31,11 +31,10 @@ class Software:
     def __init__(self, services: Mapping[str, LoadedService], *, computing: bool) -> None:
         self.classes = {name: service.cls for name, service in services.items()}
         self.specs = {name: spec_of(cls) for name, cls in self.classes.items()}
-        self.part_specs = {
-            spec_of(part).name: spec_of(part)
-            for spec in self.specs.values()
-            if (part := spec.before_sending) is not None
-        }
+        parts = [
+            spec_of(spec.before_sending) for spec in self.specs.values() if spec.before_sending is not None
+        ]
+        self.part_specs = {part.name: part for part in parts}
         self.programs = {name: service.program for name, service in services.items()}
         self.parts = {name: service.part for name, service in services.items() if service.part}
         self.objects: Mapping[str, object] = (

@@ -105,9 +105,7 @@ class FlownMission:
     stop_s: float = 0.0  # of the photo, and of all else at a stop but calls and actions
     action_s: float = 0.0
     landing_s: float = 0.0
-    stops: dict[int, tuple[float, float]] = field(
-        default_factory=dict
-    )  # by waypoint, in the order of the flight
+    stops: dict[int, tuple[float, float]] = field(default_factory=dict)  # by waypoint, in the flight's order
     calls: dict[int, list[str]] = field(default_factory=dict)  # operations by waypoint
     remote_calls: int = 0
     demanding: set[int | None] = field(default_factory=set)
@@ -164,9 +162,8 @@ class FlownMission:
         """Takes in the next event."""
         if not self.ended_early:
             self._now_s = max(self._now_s, event.t)
-        self._take_flight(event, event.t)
-        self._take_answers(event, event.t)
-        self._take_servers(event, event.t)
+        for take in (self._take_flight, self._take_answers, self._take_servers):
+            take(event, event.t)
 
     def _take_flight(self, event: Event, t: float) -> None:
         match event:

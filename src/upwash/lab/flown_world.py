@@ -249,7 +249,6 @@ def _paces(legs: Sequence[tuple[float, float]]) -> list[_Pace]:
 
 
 def _computer(flown: FlownMission, ambient_c: int | None) -> _Computer:
-    """How the delays on the drone look at this temperature."""
     calls = {
         begun: operation for operation, made in flown.local_s.items() for begun in made if begun[1] > LEAST_S
     }

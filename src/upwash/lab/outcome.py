@@ -5,17 +5,18 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import logging
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
-import msgspec
+from msgspec.structs import replace
 
 from upwash.config.drone import DroneConfig, PolicyConfig
 from upwash.config.drone_file import Presence, fleet_of, presences
 from upwash.eventlog.results import EnergyTotals, Totals
 from upwash.lab.bounds import bound_of, bounds_of
-from upwash.lab.least_time import FleetBound
+from upwash.lab.least_time import Bound, FleetBound
 from upwash.lab.run import Run, flown_alone, simulate, simulate_drones
 from upwash.sim.chance import plays_a_part
 from upwash.support.text import by_name
@@ -43,7 +44,7 @@ class FlightOutcome:
     """One flight, or one of several drones: then times, bounds and energy are means over the completed missions.
 
     The counts of `totals` are of all calls of all drones. `failure` says why the flight was not completed; drones
-    that vanish by the scenario do not count. Bounds are None without a completed mission.
+    that vanish by the scenario do not count. `bound` is None without a completed mission.
     """
 
     policy: str
@@ -51,15 +52,16 @@ class FlightOutcome:
     failure: str
     mission_time_s: float | None
     totals: Totals
-    bound_s: float | None
-    bound_with_joins_s: float | None
+    bound: Bound | FleetBound | None
     energy: EnergyTotals | None
     fleet: FleetOutcome | None = None
 
     @property
     def least_s(self) -> float | None:
         """The bound to compare with: among several drones servers compute a limited number of calls at a time."""
-        return self.fleet.bound.shared_s if self.fleet and self.fleet.bound else self.bound_s
+        if self.bound is None:
+            return None
+        return self.bound.shared_s if isinstance(self.bound, FleetBound) else self.bound.free_s
 
 
 def fly(config: DroneConfig) -> FlightOutcome:
@@ -81,15 +83,14 @@ def quiet_daemons() -> Iterator[None]:
 
 def _fly_one(config: DroneConfig) -> FlightOutcome:
     run = simulate(config)
-    bound, failure = bound_of(run, config), failure_of(run)
+    failure = failure_of(run)
     return FlightOutcome(
         policy=run.result.policy,
         completed=run.result.completed and not failure,
         failure=failure,
         mission_time_s=run.result.mission_time_s,
         totals=run.result.totals,
-        bound_s=bound.free_s if bound else None,
-        bound_with_joins_s=bound.with_joins_s if bound else None,
+        bound=bound_of(run, config),
         energy=run.result.energy,
     )
 
@@ -106,8 +107,7 @@ def _fly_fleet(config: DroneConfig) -> FlightOutcome:
         failure=failure,
         mission_time_s=found.mean_s,
         totals=_sums([run.result.totals for run in runs.values()]),
-        bound_s=bound.free_s if bound else None,
-        bound_with_joins_s=bound.with_joins_s if bound else None,
+        bound=bound,
         energy=_means(drawn),
         fleet=found if bound else None,
     )
@@ -129,10 +129,9 @@ def _failure(runs: Mapping[str, Run]) -> str:
 
 
 def _sums(totals: Sequence[Totals]) -> Totals:
-    remote: dict[str, int] = {}
+    remote = Counter[str]()
     for total in totals:
-        for server, count in total.remote.items():
-            remote[server] = remote.get(server, 0) + count
+        remote.update(total.remote)
     counts = {
         field.name: sum(getattr(total, field.name) for total in totals)
         for field in dataclasses.fields(Totals)
@@ -203,7 +202,6 @@ def jain(saved: Iterable[float]) -> float | None:
 
 def _by_itself(config: DroneConfig) -> DroneConfig:
     """The same mission without servers, and without settings that do not change its time then."""
-    replace = msgspec.structs.replace
     return replace(
         config,
         name="alone",

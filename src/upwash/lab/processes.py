@@ -124,9 +124,7 @@ def cores() -> int:
 
 
 def _begin(_do: Callable[[T], R]) -> None:
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # Ctrl-C goes to every process: the first one ends the others
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all; the first process ends the others
     thread(_end_with_parent, name="watch of the parent", failed=lambda _: os._exit(1)).start()
     gc.freeze()  # what was imported stays: the garbage collector need not look through it again and again
 

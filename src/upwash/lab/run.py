@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import msgspec
+from msgspec.structs import replace
 
 from upwash.config.drone import DroneConfig, VehicleConfig
 from upwash.config.drone_file import Presence, fleet_of, presences
@@ -26,7 +26,7 @@ from upwash.config.places import (
 )
 from upwash.config.traces import read_battery, read_wind
 from upwash.config.truth import server_truth
-from upwash.core.geo import Position, Reach, Waypoint
+from upwash.core.geo import Position, Reach
 from upwash.core.knowledge.coverage import Coverage
 from upwash.core.planning.demand_map import DemandMap
 from upwash.core.policies.policy import Policy
@@ -37,13 +37,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.results import RunResult, read_result
 from upwash.lab.field import Software, daemon_address, serving
-from upwash.lab.observer import (
-    Observation,
-    ObservedJournal,
-    RangeInterval,
-    drone_observer,
-    observe_ranges,
-)
+from upwash.lab.observer import Observation, ObservedJournal, RangeInterval, drone_observer, observe_ranges
 from upwash.lab.speed import with_speed
 from upwash.missions.bundled import load_services
 from upwash.missions.program import is_bundled, load_mission
@@ -189,7 +183,6 @@ class _Drone:
     """One drone among servers at hosts of their own: what it is given, and what it leaves behind."""
 
     def __init__(self, config: DroneConfig, presence: Presence, policy: Policy | None) -> None:
-        replace = msgspec.structs.replace
         servers = tuple(replace(server, address=daemon_address(server.name)) for server in config.servers)
         config, self.speed_why = with_speed(config, simulate)
         self.config = replace(config, servers=servers)
@@ -206,10 +199,7 @@ async def _fly(drones: Sequence[_Drone], *, computing: bool, seen: list[Observat
     software = Software(load_services(first.services), computing=computing)
     async with serving(first, software, seen=seen) as switchboard:
         flights = [_fly_one(drone, software, switchboard, seen) for drone in drones]
-        longest_s = _LONGEST_S + max(
-            sum(_LONGEST_STOP_S + _hold_s(waypoint) for waypoint in waypoints(drone.config.mission))
-            for drone in drones
-        )
+        longest_s = _LONGEST_S + max(map(_stops_s, drones))
         try:
             async with asyncio.timeout(longest_s):
                 return await asyncio.gather(*flights)
@@ -220,8 +210,11 @@ async def _fly(drones: Sequence[_Drone], *, computing: bool, seen: list[Observat
             ) from None
 
 
-def _hold_s(waypoint: Waypoint) -> float:
-    return waypoint.hold_s + sum(via.hold_s for via in waypoint.via)
+def _stops_s(drone: _Drone) -> float:
+    """The longest that all stops of the plan may take."""
+    plan = waypoints(drone.config.mission)
+    holds_s = sum(waypoint.hold_s + sum(via.hold_s for via in waypoint.via) for waypoint in plan)
+    return _LONGEST_STOP_S * len(plan) + holds_s
 
 
 async def _fly_one(

@@ -46,15 +46,11 @@ def value_at(document: Document, file: Path, key: str) -> Any:
 
 def _first_drones(drones: list[Any], count: object, file: Path) -> list[Any]:
     if type(count) is not int or count < 1:
-        raise ConfigError(
-            str(file), _DRONES, f"expected a number of drones from 1 on, found {written(count)}"
-        )
+        problem = f"expected a number of drones from 1 on, found {written(count)}"
+        raise ConfigError(str(file), _DRONES, problem)
     if count > len(drones):
-        raise ConfigError(
-            str(file),
-            _DRONES,
-            f"{count} are more than the file has: {len(drones)} [[drone]] tables: add some, or ask for fewer",
-        )
+        has = f"{count} are more than the file has: {len(drones)} [[drone]] tables"
+        raise ConfigError(str(file), _DRONES, f"{has}: add some, or ask for fewer")
     return drones[:count]
 
 
@@ -160,14 +156,12 @@ def _without_own_policies(document: Document) -> Document:
     drones = document.get("drone")
     if not isinstance(drones, list):
         return document
-    return document | {
-        "drone": [
-            {key: value for key, value in drone.items() if key != "policy"}
-            if isinstance(drone, dict)
-            else drone
-            for drone in drones
-        ]
-    }
+
+    def without(drone: Any) -> Any:
+        tables = drone.items() if isinstance(drone, dict) else ()
+        return {key: value for key, value in tables if key != "policy"} if tables else drone
+
+    return document | {"drone": list(map(without, drones))}
 
 
 def _plain(value: object, key: str, file: Path) -> Any:

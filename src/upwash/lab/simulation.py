@@ -60,22 +60,20 @@ def simulate(
     is for `simulate_fleet`.
     """
     document, file = scenario_tables(scenario, policy=policy, seed=seed, overrides=overrides)
-    config = drone_config(document, file)
+    config, name = drone_config(document, file), name_of(scenario)
     if config.drones:
-        raise UsageError(
-            f"{name_of(scenario)} has [[drone]] tables ({len(config.drones)}), and this simulates one mission: "
-            "call simulate_fleet"
-        )
+        has = f"{name} has [[drone]] tables ({len(config.drones)})"
+        raise UsageError(f"{has}, and this simulates one mission: call simulate_fleet")
     if keep_coverage and config.network.coverage_map is None:
-        raise UsageError(f"{name_of(scenario)} names no file for its coverage map: give network.coverage_map")
+        raise UsageError(f"{name} names no file for its coverage map: give network.coverage_map")
     if keep_demands and config.policy.demand_map is None:
-        raise UsageError(f"{name_of(scenario)} names no file for its map of demands: give policy.demand_map")
+        raise UsageError(f"{name} names no file for its map of demands: give policy.demand_map")
     run = fly(config)
     if keep_demands and run.demand_map is not None:
         demands_kept(config, run.demand_map)
     if keep_coverage and run.coverage is not None:
         coverage_kept(config, run.coverage)
-    simulation = simulation_of(run, config, bound_of(run, config), scenario=name_of(scenario))
+    simulation = simulation_of(run, config, bound_of(run, config), scenario=name)
     return replace(simulation, configuration=told(document))
 
 

@@ -166,12 +166,11 @@ def tune(
     ]
     times = iter(processes.in_order(_replayed_s, parts, workers=replays.workers, done=replays.done))
     sums = [[_sum(itertools.islice(times, len(worlds))) for _ in seeds] for _ in settings]
-    saved = {
-        f"{key} = {value}": [before - after for before, after in zip(sums[0], found, strict=True)]
-        for (key, value), found in zip(settings[1:], sums[1:], strict=True)
-    }
-    saved = {name: [save_s for save_s in found if math.isfinite(save_s)] for name, found in saved.items()}
-    saved = {name: found for name, found in saved.items() if len(found) > draws / 2}
+    saved = {}
+    for (key, value), after in zip(settings[1:], sums[1:], strict=True):
+        found = [before_s - after_s for before_s, after_s in zip(sums[0], after, strict=True)]
+        if len(finite := list(filter(math.isfinite, found))) > draws / 2:
+            saved[f"{key} = {value}"] = finite
     tuned = [Tuned(name, mean_of(found)) for name, found in saved.items()]
     return Tuning(
         policy=policy,
@@ -199,7 +198,6 @@ def _sum(times: Iterator[float | None]) -> float:
 
 
 def _replayed_s(replay: _Replay) -> float | None:
-    """The mission's time; None if it was not completed."""
     measured = replay.key == "estimates"
     overrides = {f"policy.{replay.key}": replay.value} if replay.key and not measured else {}
     document = replay.world.draw(replay.seed, as_measured=measured)

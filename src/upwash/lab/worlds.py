@@ -137,7 +137,6 @@ def _survey(chance: random.Random, photo_s: float) -> dict[str, Any]:
 
 
 def _times(chance: random.Random) -> Times:
-    """Those of one of today's computers, or about that."""
     return Times(*(round(seconds * chance.uniform(0.8, 1.25), 3) for seconds in chance.choice(TODAYS)))
 
 

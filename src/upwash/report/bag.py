@@ -16,7 +16,6 @@ from upwash.core.knowledge.servers import SELECTED, State
 from upwash.errors import NotWritten, UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.narration import Narrator, Tone
-from upwash.report.clock import RecordClock
 from upwash.report.findings import Pairing
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record
@@ -57,11 +56,10 @@ def write_bag(records: Sequence[Record], folder: Path, *, photos: Path | None = 
 
 
 def _messages(record: Record, shelf: PhotoShelf) -> Iterator[tuple[int, str, Any]]:
-    clock = RecordClock(record)
     states: dict[str, State] = dict.fromkeys(record.servers, State.AVL)
     narrator, pairing, text = Narrator(), Pairing(), _TYPES.types[_STRING]
     for event in record.events:
-        time_ns = clock.ns(event.t - record.began_s)
+        time_ns = record.ns(event.t - record.began_s)
         yield time_ns, "/upwash/events", text(data=msgspec.json.encode(event).decode())
         if (said := narrator.tell(event)) is not None:
             yield time_ns, "/rosout", _log(time_ns, _LEVELS.get(said.tone, _INFO), record.name, said.text)
@@ -72,20 +70,20 @@ def _messages(record: Record, shelf: PhotoShelf) -> Iterator[tuple[int, str, Any
             yield time_ns, "/upwash/servers", text(data=msgspec.json.encode(said_of).decode())
         pairing.take(event)
         if isinstance(event, schema.PhotoTaken) and (photo := pairing.last) is not None:
-            jpeg, taken_ns = shelf.find(photo.shot), clock.ns(event.t - event.age_s - record.began_s)
+            jpeg, taken_ns = shelf.find(photo.shot), record.ns(event.t - event.age_s - record.began_s)
             if jpeg is not None:
                 data = np.frombuffer(jpeg, np.uint8)
                 image = _TYPES.types[_IMAGE](header=_header(taken_ns, "camera"), format="jpeg", data=data)
                 yield taken_ns, "/camera/image/compressed", image
-    yield from _fixes(record, clock)
+    yield from _fixes(record)
 
 
-def _fixes(record: Record, clock: RecordClock) -> Iterator[tuple[int, str, Any]]:
+def _fixes(record: Record) -> Iterator[tuple[int, str, Any]]:
     if record.plan.home is None:
         return
     frame, status = LocalFrame(record.plan.home), _TYPES.types["sensor_msgs/msg/NavSatStatus"]
     for fix in record.track:
-        place, time_ns = frame.geo(fix.position), clock.ns(fix.at_s)
+        place, time_ns = frame.geo(fix.position), record.ns(fix.at_s)
         yield (
             time_ns,
             "/fix",

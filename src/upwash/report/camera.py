@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import TypeAlias
+from collections.abc import Callable, Iterator, Sequence
 
 from foxglove.messages import (
     Color,
@@ -16,57 +15,42 @@ from foxglove.messages import (
     Timestamp,
 )
 
-from upwash.eventlog import schema
 from upwash.eventlog.objects import Outline
-from upwash.report.clock import RecordClock
-from upwash.report.findings import Pairing
 from upwash.report.numbering import PlacedFinding
 from upwash.report.palette import DARK, components
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record
 
-_Numbered: TypeAlias = tuple[int, Outline]
 _FRAME = "camera"
 _FONT_PX, _LINE_PX = 16.0, 3.0
 
 
 def photos(
-    record: Record, objects: Sequence[PlacedFinding], clock: RecordClock, shelf: PhotoShelf
-) -> Iterator[tuple[int, CompressedImage | ImageAnnotations]]:
-    """Each available photo, and its boxes with the numbers of the findings, both at the time of the shutter.
+    record: Record, objects: Sequence[PlacedFinding], time_of: Callable[[float], Timestamp], shelf: PhotoShelf
+) -> Iterator[tuple[float, CompressedImage, ImageAnnotations]]:
+    """Each available photo, and its boxes with the numbers of the findings, with the second of the shutter.
 
     `objects` has the object of each of the record's findings. A photo without findings has an empty list of boxes,
     which replaces the boxes of the photo before.
     """
     boxes = _boxes_by_photo(record, objects)
-    pairing = Pairing()
-    for event in record.events:
-        pairing.take(event)
-        if isinstance(event, schema.PhotoTaken) and (photo := pairing.last) is not None:
-            jpeg = shelf.find(photo.shot)
-            taken_s = event.t - event.age_s - record.began_s
-            time, time_ns = clock.time(taken_s), clock.ns(taken_s)
-            if jpeg is not None:
-                yield time_ns, CompressedImage(timestamp=time, frame_id=_FRAME, data=jpeg, format="jpeg")
-                yield time_ns, _annotations(boxes.get(photo.number, []), time)
+    for photo, event in record.photos:
+        taken_s = event.t - event.age_s - record.began_s
+        if (jpeg := shelf.find(photo.shot)) is not None:
+            time, own = time_of(taken_s), boxes.get(photo.number, [])
+            image = CompressedImage(timestamp=time, frame_id=_FRAME, data=jpeg, format="jpeg")
+            outlines, labels = [_outline(box, time) for _, box in own], [_label(*each, time) for each in own]
+            yield taken_s, image, ImageAnnotations(timestamp=time, points=outlines, texts=labels)
 
 
-def _boxes_by_photo(record: Record, objects: Sequence[PlacedFinding]) -> dict[int, list[_Numbered]]:
+def _boxes_by_photo(record: Record, objects: Sequence[PlacedFinding]) -> dict[int, list[tuple[int, Outline]]]:
     """The boxes on each photo by its number, with the numbers of their findings, without rejected ones."""
-    found: dict[int, list[_Numbered]] = {}
+    found: dict[int, list[tuple[int, Outline]]] = {}
     for finding, each in zip(record.findings, objects, strict=True):
         shown = each.sighting(finding)
         if shown.photo is not None and shown.box is not None and not each.is_rejected:
             found.setdefault(shown.photo.number, []).append((each.number, shown.box))
     return found
-
-
-def _annotations(found: list[_Numbered], time: Timestamp) -> ImageAnnotations:
-    return ImageAnnotations(
-        timestamp=time,
-        points=[_outline(box, time) for _, box in found],
-        texts=[_label(number, box, time) for number, box in found],
-    )
 
 
 def _outline(found: Outline, time: Timestamp) -> PointsAnnotation:

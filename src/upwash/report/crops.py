@@ -56,13 +56,11 @@ def pixels_of(jpeg: bytes) -> MatLike | None:
 
 def size_of(jpeg: bytes) -> tuple[int, int] | None:
     """The photo's width and height in pixels, None where nothing here can read it."""
-    try:
-        from upwash.services.photo import NotAPhoto, photo_size
-    except ImportError:  # the extra "detector" is not installed
-        return None
+    from upwash.services.photo import NotAPhoto, photo_size
+
     try:
         return photo_size(jpeg)
-    except NotAPhoto:
+    except (ImportError, NotAPhoto):  # the extra "detector" may not be installed
         return None
 
 

@@ -72,7 +72,6 @@ def write_dataset(records: Sequence[Record], folder: Path, *, photos: Path | Non
 
 
 def _labelled(reviewed: ReviewedFindings) -> dict[str, _Labelled]:
-    """The photos with an accepted box, by the name that their files get."""
     photos: dict[tuple[int, str], _Labelled] = {}
     for number, flight in enumerate(reviewed.flights):
         for index, finding in enumerate(flight.found):
@@ -129,12 +128,8 @@ def _normalised(box: Outline, width_px: int, height_px: int) -> str | None:
     bottom = min(float(height_px), box.top_px + box.height_px)
     if right <= left or bottom <= top:
         return None
-    shares = (
-        (left + right) / 2 / width_px,
-        (top + bottom) / 2 / height_px,
-        (right - left) / width_px,
-        (bottom - top) / height_px,
-    )
+    middle = (left + right) / 2 / width_px, (top + bottom) / 2 / height_px
+    shares = *middle, (right - left) / width_px, (bottom - top) / height_px
     return " ".join(f"{share:.{_DIGITS}f}" for share in shares)
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from upwash.report.groups import Difference, Group, in_seconds
-from upwash.report.markup import Markup, element, joined
+from upwash.report.markup import Markup, element, joined, svg
 from upwash.support.confidence import Mean
 from upwash.support.text import counted
 
@@ -23,17 +23,12 @@ def draw_times(groups: Sequence[Group]) -> Markup:
     times_s = [record.result.mission_time_s for group in groups for record in group.flights]
     x = _axis(times_s, [group.time_s for group in groups])
     bottom = _TOP + _ROW * len(groups)
-    rows = [
-        _row(
-            f"{group.name}: {in_seconds(group.time_s)}, {counted(len(group.flights), 'flight')}",
-            [(f"{record.name}: {record.result.mission_time_s:.1f} s", record.result.mission_time_s)
-             for record in group.flights],
-            group.time_s,
-            x,
-            _TOP + _ROW * number,
-        )
-        for number, group in enumerate(groups)
-    ]  # fmt: skip
+    rows = []
+    for number, group in enumerate(groups):
+        name = f"{group.name}: {in_seconds(group.time_s)}, {counted(len(group.flights), 'flight')}"
+        results = [(record.name, record.result.mission_time_s) for record in group.flights]
+        dots = [(f"{flight}: {time_s:.1f} s", time_s) for flight, time_s in results]
+        rows.append(_row(name, dots, group.time_s, x, _TOP + _ROW * number))
     told = "; ".join(f"{group.name}: {in_seconds(group.time_s)}" for group in groups)
     return _figure(
         "Mission time of each flight",
@@ -63,28 +58,20 @@ def draw_differences(differences: Sequence[Difference]) -> Markup:
             element("line", x1=x(0), x2=x(0), y1=top + _NAME, y2=top + _ROW, class_="zero"),
             _row(name, dots, difference.longer_s, x, top),
         ]
-    told = "; ".join(
-        f"{each.policy} minus {each.reference}: {in_seconds(each.longer_s)}" for each in differences
-    )
+    bottom = _TOP + high * len(differences)
+    means = (f"{each.policy} minus {each.reference}: {in_seconds(each.longer_s)}" for each in differences)
     return _figure(
         "Differences within the same scenario and seed",
-        f"On average, with 95 % confidence: {told}.",
-        _TOP + high * len(differences) + 10,
+        f"On average, with 95 % confidence: {'; '.join(means)}.",
+        bottom + 10,
         *rows,
-        _label(
-            "difference of the mission times (s)",
-            _WIDTH / 2,
-            _TOP + high * len(differences) + 2,
-            style="axis",
-        ),
+        _label("difference of the mission times (s)", _WIDTH / 2, bottom + 2, style="axis"),
     )
 
 
 def _axis(values: Sequence[float], means: Sequence[Mean]) -> _Axis:
-    """All values and what is sure of their means, from left to right."""
-    ends = [
-        mean.value + sign * mean.margin for mean in means if math.isfinite(mean.margin) for sign in (-1, 1)
-    ]
+    sure = [mean for mean in means if math.isfinite(mean.margin)]
+    ends = [mean.value + sign * mean.margin for mean in sure for sign in (-1, 1)]
     least, most = min([*values, *ends]), max([*values, *ends])
     spare = _SPARE * (most - least) or 1.0
     return _Axis(least - spare, most + spare)
@@ -146,17 +133,9 @@ def _round_step(least: float) -> float:
 
 def _figure(title: str, description: str, height: float, *content: Markup) -> Markup:
     """An SVG that says what it shows to those who do not see it."""
-    return element(
-        "svg",
-        element("title", title),
-        element("desc", description),
-        *content,
-        xmlns="http://www.w3.org/2000/svg",
-        viewBox=f"0 0 {_WIDTH:.0f} {height:.0f}",
-        role="img",
-    )
+    said = element("title", title), element("desc", description)
+    return svg(f"0 0 {_WIDTH:.0f} {height:.0f}", *said, *content)
 
 
 def _label(text: str, x: float, y: float, *, anchor: str = "middle", style: str = "tick") -> Markup:
-    """Text at x, y."""
     return element("text", text, x=x, y=y, text_anchor=anchor, class_=style)

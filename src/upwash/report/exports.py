@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -13,8 +14,7 @@ import msgspec
 from upwash.core.geo import Circle, LocalFrame, Position
 from upwash.errors import UsageError
 from upwash.eventlog import schema
-from upwash.eventlog.progress import CallPlaces
-from upwash.eventlog.results import CallResult, RunResult, as_json
+from upwash.eventlog.results import RunResult, as_json
 from upwash.report.antimeridian import cut_line, cut_ring
 from upwash.report.palette import LIGHT
 from upwash.report.record import Record, reviewed_of
@@ -73,10 +73,13 @@ def cell(value: object) -> object:
 
 def as_rows(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
     """CSV with a line for the columns' names and one for each row."""
+    return as_csv(itertools.chain([columns], (map(cell, row) for row in rows)))
+
+
+def as_csv(rows: Iterable[Iterable[object]]) -> str:
+    """CSV of these cells as they are."""
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(map(cell, row) for row in rows)
+    csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()
 
 
@@ -87,28 +90,27 @@ def write_csv(records: Sequence[Record]) -> str:
         "log", "waypoint", "at_s", "operation", "place", "delay_s", "waited_s", "wait", "fell_back", "east_m",
         "north_m", "decision", *hidden,
     ]  # fmt: skip
-    rows = (
-        _call_row(record, call, place, hidden)
-        for record in records
-        for call, place in zip(record.calls, record.places, strict=True)
-    )
-    return as_rows(columns, rows)
 
+    def rows() -> Iterator[Sequence[object]]:
+        for record in records:
+            for call, place in zip(record.calls, record.places, strict=True):
+                at_m = (place.east_m, place.north_m) if place else (None, None)
+                yield (
+                    record.name, call.waypoint, call.at_s, call.operation, call.place, call.delay_s, call.waited_s,
+                    call.wait, int(call.fell_back), *at_m, call.decision, *(getattr(call, each) for each in hidden),
+                )  # fmt: skip
 
-def _call_row(
-    record: Record, call: CallResult, place: Position | None, hidden: Sequence[str]
-) -> list[object]:
-    return [
-        record.name, call.waypoint, call.at_s, call.operation, call.place, call.delay_s, call.waited_s, call.wait,
-        int(call.fell_back), place.east_m if place else None, place.north_m if place else None, call.decision,
-        *(getattr(call, each) for each in hidden),
-    ]  # fmt: skip
+    return as_rows(columns, rows())
 
 
 def write_geojson(records: Sequence[Record]) -> str:
     """Tracks, waypoints, ranges, calls and photos on the Earth (RFC 7946); UsageError for a run without a home."""
-    features = [feature for record in records for feature in _features(record)]
-    return msgspec.json.encode({"type": "FeatureCollection", "features": features}).decode()
+    return collection(feature for record in records for feature in _features(record))
+
+
+def collection(features: Iterable[object], **facts: object) -> str:
+    """A GeoJSON document with these features."""
+    return msgspec.json.encode({"type": "FeatureCollection", **facts, "features": list(features)}).decode()
 
 
 def plan_geojson(record: Record) -> str | None:
@@ -128,7 +130,7 @@ def plan_geojson(record: Record) -> str | None:
         colour = LIGHT.of_place(facts.get("server"), record.servers)
         facts["name"] = " ".join(str(facts[key]) for key in ("kind", "server", "waypoint") if key in facts)
         facts["style"] = {"color": colour, "weight": 2, "fillOpacity": 0.1}
-    return msgspec.json.encode({"type": "FeatureCollection", "features": features}).decode()
+    return collection(features)
 
 
 def _features(record: Record) -> Iterator[dict[str, Any]]:
@@ -152,7 +154,6 @@ def _features(record: Record) -> Iterator[dict[str, Any]]:
 
 
 def _autopilot_photos(record: Record) -> Iterator[dict[str, Any]]:
-    """Each photo of a camera at the autopilot, by the camera and the number there."""
     for event in record.events:
         if not isinstance(event, schema.AutopilotPhoto) or event.longitude_deg is None:
             continue
@@ -165,32 +166,24 @@ def _autopilot_photos(record: Record) -> Iterator[dict[str, Any]]:
             "time": event.taken and event.taken.isoformat(),
         }
         place = [event.longitude_deg, event.latitude_deg]
-        known = {key: each for key, each in facts.items() if each is not None}
-        yield _feature(record, "autopilot_photo", "Point", place, **known)
+        yield _feature(record, "autopilot_photo", "Point", place, **_known(facts))
 
 
 def _photos(record: Record, frame: LocalFrame) -> Iterator[dict[str, Any]]:
     """Each photo where it was taken, by its number from 0 on; what is not known of it is absent."""
-    whereabouts, number = CallPlaces(), 0
-    for event in record.events:
-        whereabouts.take(event)
-        if not isinstance(event, schema.PhotoTaken):
-            continue
+    for photo, event in record.photos:
         place = _degrees(frame, event.position)
         if event.longitude_deg is not None and event.latitude_deg is not None:
             place = [event.longitude_deg, event.latitude_deg]
         facts = {
-            "photo": number,
+            "photo": photo.number,
             "source": event.source,
-            "waypoint": whereabouts.here,
+            "waypoint": photo.waypoint,
             "at_s": event.t - record.began_s,
             "altitude_m": event.position.altitude_m,
             "above_sea_m": event.above_sea_m,
         }
-        yield _feature(
-            record, "photo", "Point", place, **{key: each for key, each in facts.items() if each is not None}
-        )
-        number += 1
+        yield _feature(record, "photo", "Point", place, **_known(facts))
 
 
 def _planned(record: Record, frame: LocalFrame) -> Iterator[dict[str, Any]]:
@@ -213,6 +206,10 @@ def _line(record: Record, kind: str, places: Sequence[Sequence[float]]) -> dict[
     if len(parts) == 1:
         return _feature(record, kind, "LineString", lines[0], **({"at_s": times_s[0]} if has_times else {}))
     return _feature(record, kind, "MultiLineString", lines, **({"at_s": times_s} if has_times else {}))
+
+
+def _known(facts: Mapping[str, object]) -> dict[str, object]:
+    return {key: each for key, each in facts.items() if each is not None}
 
 
 def _feature(record: Record, kind: str, shape: str, coordinates: object, **facts: object) -> dict[str, Any]:

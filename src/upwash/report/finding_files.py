@@ -8,10 +8,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 from xml.etree import ElementTree
 
-import msgspec
-
 from upwash.report.crops import crop_of
-from upwash.report.exports import DIGITS, as_rows
+from upwash.report.exports import DIGITS, as_rows, collection
 from upwash.report.numbering import FlightFindings, PlacedFinding
 from upwash.report.photos import PhotoShelf
 from upwash.report.reviewed import reviewed
@@ -50,8 +48,7 @@ def as_geojson(
         known = {name: value for name, value in facts.items() if value is not None}
         point = None if None in place else {"type": "Point", "coordinates": place}
         features.append({"type": "Feature", "geometry": point, "properties": {"kind": "finding", **known}})
-    told = {"reviewed": reviewed} if reviewed else {}
-    return msgspec.json.encode({"type": "FeatureCollection", **told, "features": features}).decode()
+    return collection(features, **({"reviewed": reviewed} if reviewed else {}))
 
 
 def as_kml(findings: Sequence[PlacedFinding], pictures: Pictures | None = None, reviewed: str = "") -> str:
@@ -137,7 +134,9 @@ def _facts(findings: Sequence[PlacedFinding], pictures: Pictures | None) -> Iter
 def facts_of(found: PlacedFinding) -> dict[str, Any]:
     """The values of a finding by the names of the columns up to `height_px`; None if unknown."""
     finding, box = found.finding, found.finding.box
-    latitude_deg, longitude_deg = found.earth or (None, None)
+    latitude_deg, longitude_deg = (
+        (round(each, DIGITS) for each in found.earth) if found.earth else (None, None)
+    )
     return {
         "number": found.number,
         "log": found.flight.log,
@@ -148,17 +147,14 @@ def facts_of(found: PlacedFinding) -> dict[str, Any]:
         "waypoint": finding.waypoint,
         "t_s": round(found.mission_s, 3),
         "time": found.time.isoformat(timespec="milliseconds").replace("+00:00", "Z") if found.time else None,
-        "latitude_deg": None if latitude_deg is None else round(latitude_deg, DIGITS),
-        "longitude_deg": None if longitude_deg is None else round(longitude_deg, DIGITS),
+        "latitude_deg": latitude_deg,
+        "longitude_deg": longitude_deg,
         "east_m": round(finding.place.east_m, 2),
         "north_m": round(finding.place.north_m, 2),
         "error_m": None if finding.error_m is None else round(finding.error_m, 2),
         "place_is": finding.place_is,
         "photo": finding.photo.shot.source if finding.photo else None,
-        "left_px": box.left_px if box else None,
-        "top_px": box.top_px if box else None,
-        "width_px": box.width_px if box else None,
-        "height_px": box.height_px if box else None,
+        **{side: getattr(box, side, None) for side in ("left_px", "top_px", "width_px", "height_px")},
     }
 
 

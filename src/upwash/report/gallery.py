@@ -8,7 +8,7 @@ from upwash.eventlog.objects import Outline
 from upwash.eventlog.progress import clock
 from upwash.report.crops import Crop, cut_out
 from upwash.report.findings import MOST_PICTURED
-from upwash.report.markup import Markup, element, in_document, joined
+from upwash.report.markup import Markup, element, in_document, joined, svg
 from upwash.report.numbering import PlacedFinding
 from upwash.report.photos import PhotoShelf
 from upwash.report.reviewed import ReviewedFindings
@@ -112,15 +112,13 @@ def outlined(box: Outline, crop: Crop, name: str, *, again: bool = False) -> Mar
     """The crop with the box drawn on it; `name` is the picture's in the document, which has it already if `again`."""
     corner = {"x": box.left_px - crop.left_px, "y": box.top_px - crop.top_px}
     size = {"width": box.width_px, "height": box.height_px}
-    return element(
-        "svg",
+    whole = {"width": crop.width_px, "height": crop.height_px}
+    return svg(
+        f"0 0 {crop.width_px} {crop.height_px}",
         element("title", f"{printable(box.words, _LONGEST_LABEL)}, on the photo"),
-        element("use", href=f"#{name}") if again else element(
-            "image", id=name, href=in_document(crop.jpeg), width=crop.width_px, height=crop.height_px
-        ),
+        element("use", href=f"#{name}")
+        if again
+        else element("image", id=name, href=in_document(crop.jpeg), **whole),
         element("rect", **corner, **size, class_="around"),
         element("rect", **corner, **size, class_="box"),
-        xmlns="http://www.w3.org/2000/svg",
-        viewBox=f"0 0 {crop.width_px} {crop.height_px}",
-        role="img",
-    )  # fmt: skip
+    )

@@ -54,7 +54,7 @@ def groups_of(records: Sequence[Record]) -> list[Group]:
     flights: dict[str, list[Record]] = defaultdict(list)
     for record in records:
         if record.result.completed:
-            flights[record.drone if by_drone else record.result.policy].append(record)
+            flights[(record.drone or "") if by_drone else record.result.policy].append(record)
     groups = [
         Group(name, flown, mean_of([record.result.mission_time_s for record in flown]))
         for name, flown in sorted(flights.items())
@@ -70,7 +70,7 @@ def differences(records: Sequence[Record]) -> list[Difference]:
     flown: dict[str, dict[tuple[str, int, str], Record]] = defaultdict(dict)
     for record in records:
         if record.simulated is not None and record.result.completed:
-            key = record.simulated.scenario, record.simulated.seed, record.drone
+            key = record.simulated.scenario, record.simulated.seed, record.drone or ""
             flown[record.result.policy][key] = record
     return [
         difference
@@ -85,16 +85,15 @@ def _difference(
     common = [key for key in flown[policy] if key in flown[reference]]
     if not common:
         return None
-    pairs = [Pair(_named(key), _longer_s(flown[policy][key], flown[reference][key])) for key in common]
+    pairs = []
+    for key in common:
+        own, other = flown[policy][key].result, flown[reference][key].result
+        pairs.append(Pair(_named(key), own.mission_time_s - other.mission_time_s))
     mean = mean_of([pair.longer_s for pair in pairs])
     if mean.value <= 0:
         return Difference(policy, reference, pairs, mean)
     turned = [Pair(pair.name, -pair.longer_s) for pair in pairs]
     return Difference(reference, policy, turned, Mean(mean.count, -mean.value, mean.margin))
-
-
-def _longer_s(record: Record, reference: Record) -> float:
-    return record.result.mission_time_s - reference.result.mission_time_s
 
 
 def _named(key: tuple[str, int, str]) -> str:

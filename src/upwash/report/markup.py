@@ -29,6 +29,12 @@ def element(name: str, /, *children: str, **attributes: str | float) -> Markup:
     return Markup(f"<{name}{written}>{joined(*children)}</{name}>")
 
 
+def svg(view: str, *children: str, **attributes: str | float) -> Markup:
+    """A drawing, whose `view` is its viewBox; a picture to those who hear it, without another `role`."""
+    seen = {"viewBox": view, "role": "img", **attributes}
+    return element("svg", *children, xmlns="http://www.w3.org/2000/svg", **seen)
+
+
 def joined(*children: str) -> Markup:
     """Several pieces in a row."""
     return Markup("".join(child if isinstance(child, Markup) else _escaped(child) for child in children))

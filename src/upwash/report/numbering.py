@@ -17,10 +17,7 @@ from upwash.report.findings import Finding
 from upwash.report.reviews import NO_REVIEWS, Review, Reviews, Verdict
 from upwash.support.text import counted, printable
 
-_FAULTS = {
-    "hot-spot": "hot-spot",
-    "broken-module": "broken module",
-}  # labels of the bundled detector, in words
+_FAULTS = {"hot-spot": "hot-spot", "broken-module": "broken module"}  # words for the detector's labels
 _RESULT = ""  # the label of what has none
 _MOST_KINDS = 6
 _LONGEST_LABEL = 40  # characters
@@ -231,9 +228,7 @@ def _told_at(flight: FlightFindings, index: int) -> Iterator[tuple[float, int, i
     opened_s = flight.opened.timestamp() if flight.opened else 0.0
     latest_s = -float("inf")
     for number, finding in enumerate(flight.found):
-        latest_s = max(
-            latest_s, opened_s + finding.at_s
-        )  # a log that a clock's step set back stays in its order
+        latest_s = max(latest_s, opened_s + finding.at_s)  # a clock's step back leaves a log in its order
         yield latest_s, index, number
 
 

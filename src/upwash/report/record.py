@@ -4,27 +4,28 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 from pathlib import Path
 
 from upwash.core.geo import Position
 from upwash.errors import UsageError
 from upwash.eventlog import schema
-from upwash.eventlog.ending import Ending
+from upwash.eventlog.ending import Ending, EndingSoFar
 from upwash.eventlog.log import EventLog
-from upwash.eventlog.reasons import CallText
+from upwash.eventlog.notices import Notices
+from upwash.eventlog.reasons import Reasons
 from upwash.eventlog.results import CallResult, RunResult
 from upwash.eventlog.schema import Event
-from upwash.report.findings import Finding
-from upwash.report.numbering import FlightFindings, PlacedFinding
-from upwash.report.outcome import Outcome
+from upwash.report.findings import Pairing, TakenPhoto
+from upwash.report.numbering import FlightFindings
 from upwash.report.reviewed import ReviewedFindings, reviewed
-from upwash.report.reviews import NO_REVIEWS, Reviews, read_reviews
-from upwash.report.story import Story, Stretch, place_of
+from upwash.report.reviews import NO_REVIEWS, read_reviews
+from upwash.report.story import Story, place_of
 from upwash.support.progress import work
 from upwash.support.text import by_name
+
+_LATEST_NS = (2**32 - 1) * 1_000_000_000  # seconds of recordings have 32 bits: in 2106
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,62 +50,29 @@ class MissionEvents:
         return itertools.islice(self._events, self._first, self._end)
 
 
-@dataclass(frozen=True, slots=True)
-class Record:
-    """One run, with its events until the mission was completed."""
+class Record(Story):
+    """One run under a name, with its `events` until the mission was completed, and with its `reviews`."""
 
-    name: str
-    story: Story
-    events: Iterable[Event]
     result: RunResult
-    stretches: Mapping[str, Sequence[Stretch]]
     ending: Ending
-    reviews: Reviews = NO_REVIEWS
 
-    @property
-    def opened(self) -> datetime | None:
-        """The time of day at second 0 of the log, None for a simulated one."""
-        return self.story.opened
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self.name = name
+        self.reviews = NO_REVIEWS
+        self.events: Iterable[Event] = ()
 
-    @property
-    def simulated(self) -> schema.Simulated | None:
-        """The simulation's own first line, None for a flight."""
-        return self.story.simulated
-
-    @property
-    def drone(self) -> str:
-        """The drone's name."""
-        return self.story.drone or ""
-
-    @property
-    def began_s(self) -> float:
-        """The mission's begin, in seconds of the log."""
-        return self.story.began_s
-
-    @property
-    def plan(self) -> schema.Planned:
-        """What the drone set out to do."""
-        return self.story.plan
-
-    @property
-    def findings(self) -> Sequence[Finding]:
-        """Each sighting that the log tells."""
-        return self.story.finder.found
+    def finish(self) -> None:
+        """Keep the result and the ending; let go of what only further events need: a long flight keeps its record."""
+        self.result = self.tally.result()
+        self.ending = self._ending.ending(self.result, self.began_s)
+        self.reasons, self.finder.pairing = Reasons(), Pairing()
+        self._notices, self._ending = Notices(), EndingSoFar()
 
     @property
     def calls(self) -> Sequence[CallResult]:
         """The calls, in the order of their ends."""
         return self.result.calls
-
-    @property
-    def places(self) -> Sequence[Position | None]:
-        """The place of the drone at each call; None if unknown."""
-        return self.story.places
-
-    @property
-    def worst(self) -> Sequence[CallText]:
-        """The calls that lost most, the worst first."""
-        return self.story.worst
 
     @property
     def turns(self) -> Iterator[tuple[int | None, Position]]:
@@ -120,18 +88,27 @@ class Record:
     @property
     def servers(self) -> list[str]:
         """The servers that the run knows of, by name."""
-        known = {*self.plan.ranges, *self.plan.measured, *self.stretches, *self.result.totals.remote}
+        known = {*self.steps, *self.result.totals.remote}
         return sorted(known, key=by_name)
 
     @property
-    def found(self) -> FlightFindings:
-        """What was found on the flight, with what people decided about it."""
-        return replace(self.story.findings(self.name), reviews=self.reviews)
+    def photos(self) -> Iterator[tuple[TakenPhoto, schema.PhotoTaken]]:
+        """Each photo, with its event."""
+        pairing = Pairing()
+        for event in self.events:
+            pairing.take(event)
+            if isinstance(event, schema.PhotoTaken) and pairing.last is not None:
+                yield pairing.last, event
+
+    def ns(self, at_s: float) -> int:
+        """A second of the mission in nanoseconds since 1970, when simulated flights happen."""
+        opened_ns = round(self.opened.timestamp() * 1e6) * 1000 if self.opened else 0
+        return min(_LATEST_NS, max(0, opened_ns + round(self.began_s * 1e9) + round(at_s * 1e9)))
 
     @property
-    def outcome(self) -> Outcome:
-        """What the run came to."""
-        return Outcome(self.name, self.plan, self.result)
+    def flight(self) -> FlightFindings:
+        """What was found on the flight, with what people decided about it."""
+        return replace(self.findings_of(self.name), reviews=self.reviews)
 
 
 def read_records(logs: Sequence[Path], *, unreviewed: bool = False) -> list[Record]:
@@ -143,30 +120,23 @@ def read_records(logs: Sequence[Path], *, unreviewed: bool = False) -> list[Reco
     records = []
     with work("logs read", len(logs)) as done:
         for log, name in zip(logs, names, strict=True):
-            record = _record_of_log(EventLog(log), log, name)
-            records.append(record if unreviewed else replace(record, reviews=read_reviews(log)))
+            events = EventLog(log)
+            record = _record(events, log, name)
+            record.ending = record.ending.with_caution(events.left_out)
+            record.reviews = NO_REVIEWS if unreviewed else read_reviews(log)
+            records.append(record)
             done()
     return records
 
 
 def reviewed_of(records: Sequence[Record]) -> ReviewedFindings:
     """What was found on these flights, with its reviews."""
-    return reviewed([record.found for record in records])
-
-
-def findings_of(records: Sequence[Record]) -> list[PlacedFinding]:
-    """The same as a list, each under its number, without what was rejected."""
-    return reviewed_of(records).objects
+    return reviewed([record.flight for record in records])
 
 
 def record_of(events: Sequence[Event], log: Path) -> Record:
     """The last run of these events, which the log has or should have; raises UsageError as `read_records` does."""
     return _record(events, log, *names_of([log]))
-
-
-def _record_of_log(events: EventLog, log: Path, name: str) -> Record:
-    record = _record(events, log, name)
-    return replace(record, ending=record.ending.with_caution(events.left_out))
 
 
 def names_of(logs: Sequence[Path]) -> list[str]:
@@ -176,30 +146,22 @@ def names_of(logs: Sequence[Path]) -> list[str]:
 
 
 def _record(events: Iterable[Event], log: Path, name: str) -> Record:
-    story, first, end = Story(), 0, 0
+    record, first, end = Record(name), 0, 0
     track = _Track(0.0)
     try:
         for number, event in enumerate(events):
             if isinstance(event, schema.LogOpened):
-                story, first = Story(), number
-            if not story.tally.completed:
-                story.take(event)
+                record, first = Record(name), number
+            if not record.tally.completed:
+                record.take(event)
                 track.take(event)  # whether it can be read is known from here on
                 end = number + 1
-        if story.tally.began_s is None:
+        if record.tally.began_s is None:
             raise UsageError(f"{log} has no mission: it ended before one began")
-        result = story.tally.result()
-        record = Record(
-            name=name,
-            story=story,
-            events=MissionEvents(events, first, end),
-            result=result,
-            stretches=story.stretches,
-            ending=story.ending(result),
-        )
+        record.finish()
     except (KeyError, TypeError, ValueError) as error:  # msgspec's ValidationError is a ValueError
         raise UsageError(f"{log} is not an event log that this version reads: {error!r}") from error
-    story.finish()
+    record.events = MissionEvents(events, first, end)
     return record
 
 

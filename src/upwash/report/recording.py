@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import msgspec
@@ -16,13 +16,13 @@ from foxglove.messages import (
     Log,
     LogLevel,
     SceneUpdate,
+    Timestamp,
 )
 
 from upwash.core.geo import LocalFrame
 from upwash.errors import UsageError
 from upwash.eventlog.narration import Narrator, Tone
 from upwash.report.camera import photos
-from upwash.report.clock import RecordClock
 from upwash.report.exports import plan_geojson
 from upwash.report.numbering import PlacedFinding
 from upwash.report.photos import PhotoShelf
@@ -30,18 +30,9 @@ from upwash.report.record import Record, reviewed_of
 from upwash.report.scene import FRAME, scene
 from upwash.report.series import Plotted, plotted_calls, plotted_states, schema_of
 
-Message = SceneUpdate | LocationFix | Log | CompressedImage | ImageAnnotations | GeoJson
-Recorded = Message | Plotted
+Recorded = SceneUpdate | LocationFix | Log | CompressedImage | ImageAnnotations | GeoJson | Plotted
 
 _LEVELS = {Tone.TROUBLE: LogLevel.Warning, Tone.ALARM: LogLevel.Error}
-_TOPICS: dict[type[Message], str] = {
-    SceneUpdate: "/scene",
-    LocationFix: "/fix",
-    Log: "/log",
-    CompressedImage: "/camera",
-    ImageAnnotations: "/camera/annotations",
-    GeoJson: "/plan",
-}
 
 
 def write_mcap(records: Sequence[Record], *, folder: Path | None = None) -> bytes:
@@ -56,10 +47,8 @@ def write_mcap(records: Sequence[Record], *, folder: Path | None = None) -> byte
         own = [seen.of_finding(index, number) for number in range(len(record.findings))]
         prefix = f"/{record.name}" if len(records) > 1 else ""
         try:
-            found += [
-                (time_ns, prefix + topic, message)
-                for time_ns, topic, message in _messages(record, own, shelf)
-            ]
+            messages = _messages(record, own, shelf)
+            found += [(time_ns, prefix + topic, message) for time_ns, topic, message in messages]
         except (KeyError, OverflowError, TypeError, ValueError) as error:
             raise UsageError(
                 f"{record.name} is not an event log that this version reads: {error!r}"
@@ -89,52 +78,48 @@ def _encoded(message: Recorded) -> bytes:
 def _messages(
     record: Record, objects: Sequence[PlacedFinding], shelf: PhotoShelf
 ) -> Iterator[tuple[int, str, Recorded]]:
-    clock = RecordClock(record)
-    for time_ns, message in _shown(record, objects, clock, shelf):
-        yield time_ns, _TOPICS[type(message)], message
-    for at_s, call in plotted_calls(record):
-        yield clock.ns(at_s), "/calls", call
-    for server, at_s, state in plotted_states(record):
-        yield clock.ns(at_s), f"/servers/{server}", state
+    narrator = Narrator()
 
+    def time_of(at_s: float) -> Timestamp:
+        return Timestamp(*divmod(record.ns(at_s), 1_000_000_000))
 
-def _shown(
-    record: Record, objects: Sequence[PlacedFinding], clock: RecordClock, shelf: PhotoShelf
-) -> Iterator[tuple[int, Message]]:
-    for at_s, update in scene(record, clock.time):
-        yield clock.ns(at_s), update
+    for at_s, update in scene(record, time_of):
+        yield record.ns(at_s), "/scene", update
     if (plan := plan_geojson(record)) is not None:
-        yield clock.ns(0.0), GeoJson(geojson=plan)
-    yield from _fixes(record, clock)
-    yield from _lines(record, clock)
-    yield from photos(record, objects, clock, shelf)
+        yield record.ns(0.0), "/plan", GeoJson(geojson=plan)
+    for at_s, fix in _fixes(record, time_of):
+        yield record.ns(at_s), "/fix", fix
+    for event in record.events:
+        if (said := narrator.tell(event)) is not None:
+            at_s = event.t - record.began_s
+            time, level = time_of(at_s), _LEVELS.get(said.tone, LogLevel.Info)
+            yield (
+                record.ns(at_s),
+                "/log",
+                Log(timestamp=time, level=level, message=said.text, name=record.name),
+            )
+    for taken_s, image, boxes in photos(record, objects, time_of, shelf):
+        yield record.ns(taken_s), "/camera", image
+        yield record.ns(taken_s), "/camera/annotations", boxes
+    for at_s, call in plotted_calls(record):
+        yield record.ns(at_s), "/calls", call
+    for server, at_s, state in plotted_states(record):
+        yield record.ns(at_s), f"/servers/{server}", state
 
 
-def _fixes(record: Record, clock: RecordClock) -> Iterator[tuple[int, Message]]:
+def _fixes(record: Record, time_of: Callable[[float], Timestamp]) -> Iterator[tuple[float, LocationFix]]:
     if record.plan.home is None:
         return
     frame = LocalFrame(record.plan.home)
     for fix in record.track:
         place = frame.geo(fix.position)
         yield (
-            clock.ns(fix.at_s),
+            fix.at_s,
             LocationFix(
-                timestamp=clock.time(fix.at_s),
+                timestamp=time_of(fix.at_s),
                 frame_id=FRAME,
                 latitude=place.latitude_deg,
                 longitude=place.longitude_deg,
                 altitude=fix.above_sea_m,
             ),
         )
-
-
-def _lines(record: Record, clock: RecordClock) -> Iterator[tuple[int, Message]]:
-    narrator = Narrator()
-    for event in record.events:
-        if (said := narrator.tell(event)) is not None:
-            at_s = event.t - record.began_s
-            level = _LEVELS.get(said.tone, LogLevel.Info)
-            yield (
-                clock.ns(at_s),
-                Log(timestamp=clock.time(at_s), level=level, message=said.text, name=record.name),
-            )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 from foxglove.messages import (
     Color,
@@ -67,23 +68,19 @@ def scene(record: Record, time_of: Callable[[float], Timestamp]) -> Iterator[tup
             yield update(ended_s, _call(index, call.server, place, record, time_of(ended_s)))
 
 
+def _entity(name: str, time: Timestamp, **parts: Any) -> SceneEntity:
+    return SceneEntity(timestamp=time, frame_id=FRAME, id=name, **parts)
+
+
 def _plan(record: Record, time: Timestamp) -> SceneEntity:
     way_m = record.plan.way_m
-    altitudes_m = record.plan.way_altitudes_m or [_highest_m(record)] * len(way_m)
+    altitudes_m = record.plan.way_altitudes_m
+    if not altitudes_m:  # the log does not say how high the plan was
+        altitudes_m = [max((fix.position.altitude_m for fix in record.track), default=0.0)] * len(way_m)
     places = [Position(*place, altitude_m) for place, altitude_m in zip(way_m, altitudes_m, strict=True)]
-    return SceneEntity(
-        timestamp=time,
-        frame_id=FRAME,
-        id="plan",
-        lines=[_line(places, _FAINT)],
-        spheres=[_ball(place, _WAYPOINT_M, _FAINT) for place in places],
-        texts=[_label("home", Position(0.0, 0.0))],
-    )
-
-
-def _highest_m(record: Record) -> float:
-    """How high the drone flew, for the plan of a log that does not say how high it was to fly."""
-    return max((fix.position.altitude_m for fix in record.track), default=0.0)
+    balls = [_ball(place, _WAYPOINT_M, _FAINT) for place in places]
+    label = _label("home", Position(0.0, 0.0))
+    return _entity("plan", time, lines=[_line(places, _FAINT)], spheres=balls, texts=[label])
 
 
 def _range(server: str, area: Circle, stretch: Stretch, time: Timestamp) -> SceneEntity:
@@ -96,36 +93,19 @@ def _range(server: str, area: Circle, stretch: Stretch, time: Timestamp) -> Scen
         color=_shade(red, green, blue, opacity),
     )
     border = _line(area.corners(SIDES), _shade(red, green, blue), LinePrimitiveLineType.LineLoop)
-    return SceneEntity(
-        timestamp=time,
-        frame_id=FRAME,
-        id=f"server {server}",
-        cylinders=[cylinder],
-        lines=[border],
-        texts=[_label(f"{server} {STATE_WORDS[stretch.state]}", area.centre, above_m=2.0)],
-    )
+    label = _label(f"{server} {STATE_WORDS[stretch.state]}", area.centre, above_m=2.0)
+    return _entity(f"server {server}", time, cylinders=[cylinder], lines=[border], texts=[label])
 
 
 def _drone(place: Position, time: Timestamp) -> SceneEntity:
-    ground = Position(place.east_m, place.north_m)
-    return SceneEntity(
-        timestamp=time,
-        frame_id=FRAME,
-        id="drone",
-        spheres=[_ball(place, _DRONE_M, _DRONE)],
-        lines=[_line([ground, place], _DRONE)],
-        texts=[_label("drone", place, above_m=_DRONE_M)],
-    )
+    line = _line([Position(place.east_m, place.north_m), place], _DRONE)
+    label = _label("drone", place, above_m=_DRONE_M)
+    return _entity("drone", time, spheres=[_ball(place, _DRONE_M, _DRONE)], lines=[line], texts=[label])
 
 
 def _call(index: int, server: str | None, place: Position, record: Record, time: Timestamp) -> SceneEntity:
     colour = _shade(*components(DARK.of_place(server, record.servers)))
-    return SceneEntity(
-        timestamp=time,
-        frame_id=FRAME,
-        id=f"call {index}: {server or 'drone'}",
-        spheres=[_ball(place, _CALL_M, colour)],
-    )
+    return _entity(f"call {index}: {server or 'drone'}", time, spheres=[_ball(place, _CALL_M, colour)])
 
 
 def _line(

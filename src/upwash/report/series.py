@@ -45,21 +45,13 @@ def schema_of(kind: type[Plotted]) -> dict[str, Any]:
 def plotted_calls(record: Record) -> Iterator[tuple[float, PlottedCall]]:
     """Each call, at the second of the mission at which it ended."""
     for call in record.calls:
-        place = call.server or "drone"
-        plotted = PlottedCall(
-            call.waypoint, call.operation, place, call.delay_s, call.waited_s, call.fell_back
-        )
-        yield call.at_s + call.delay_s, plotted
+        facts = call.waypoint, call.operation, call.server or "drone", call.delay_s, call.waited_s
+        yield call.at_s + call.delay_s, PlottedCall(*facts, call.fell_back)
 
 
 def plotted_states(record: Record) -> Iterator[tuple[str, float, PlottedState]]:
     """Each state of each server, at the second at which it began; the last one also as the log ends."""
     for server, stretches in record.stretches.items():
-        for stretch in stretches:
-            yield server, stretch.from_s, _plotted(stretch.state, stretch.why)
-        if stretches:
-            yield server, stretches[-1].to_s, _plotted(stretches[-1].state, stretches[-1].why)
-
-
-def _plotted(state: State, why: str) -> PlottedState:
-    return PlottedState(str(state), STATE_NUMBERS[state], why)
+        moments_s = [*(stretch.from_s for stretch in stretches), *(last.to_s for last in stretches[-1:])]
+        for at_s, stretch in zip(moments_s, [*stretches, *stretches[-1:]], strict=True):
+            yield server, at_s, PlottedState(str(stretch.state), STATE_NUMBERS[stretch.state], stretch.why)

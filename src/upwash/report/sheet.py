@@ -21,6 +21,14 @@ _SIDE_BY_SIDE = 3  # flights; more are summed up
 _PICTURES = 60
 _REST = "upwash report writes each call with --csv FILE, each place with --geojson FILE, and all results with --json."
 
+_OF_TIMES = (
+    "A dot is a completed flight. The upright line is the mean, and the bar across it where the true mean lies "
+    "with a probability of 95 %."
+)
+_OF_DIFFERENCES = (
+    "A dot is a pair of flights; left of 0 the first policy was the faster. Each row has a scale of its own."
+)
+
 
 def draw_sheet(records: Sequence[Record], shelf: PhotoShelf) -> Markup:
     """The flights side by side; of more than three a summary."""
@@ -28,7 +36,8 @@ def draw_sheet(records: Sequence[Record], shelf: PhotoShelf) -> Markup:
         summary = [draw_endings(records), *_summary(records)]
         parts = [element("section", *summary, class_="sheet together", aria_label="All flights together")]
     else:
-        parts = [_section(records, _how_they_ended(records), draw_ending), *_results(records)]
+        s = "s" if len(records) > 1 else ""
+        parts = [_section(records, f"How the flight{s} ended", draw_ending), *_results(records)]
     parts += _found(records, shelf)
     if len(records) <= _SIDE_BY_SIDE:
         parts.append(_section(records, "Worst calls", _worst_calls))
@@ -36,12 +45,8 @@ def draw_sheet(records: Sequence[Record], shelf: PhotoShelf) -> Markup:
     return element("section", *parts, rest, class_="sheet", aria_label="In words and tables")
 
 
-def _how_they_ended(records: Sequence[Record]) -> str:
-    return "How the flight ended" if len(records) == 1 else "How the flights ended"
-
-
 def _results(records: Sequence[Record]) -> list[Markup]:
-    outcomes = [record.outcome for record in records]
+    outcomes = [each for record in records if (each := record.outcome(record.name)) is not None]
     told = [element("p", what_it_came_to(each, outcomes), class_="lead") for each in outcomes]
     return [*told, tables.totals(records)]
 
@@ -49,26 +54,12 @@ def _results(records: Sequence[Record]) -> list[Markup]:
 def _summary(records: Sequence[Record]) -> list[Markup]:
     """The verdict, the times and their differences as figures, and a table with a row a flight."""
     drawn = [element("p", verdict(records), class_="lead")]
-    groups, differing = groups_of(records), differences(records)
-    if groups:
-        drawn.append(
-            _figure(
-                f"Mission time by {what_groups(records)}",
-                "A dot is a completed flight. The upright line is the mean, and the bar across it where the true "
-                "mean lies with a probability of 95 %.",
-                draw_times(groups),
-            )
-        )
-    if differing:
-        drawn.append(
-            _figure(
-                "Differences within the same scenario and seed",
-                "A dot is a pair of flights; left of 0 the first policy was the faster. Each row has a scale of its "
-                "own.",
-                draw_differences(differing),
-                element("ul", *(element("li", in_words(each)) for each in differing)),
-            )
-        )
+    if groups := groups_of(records):
+        drawn.append(_figure(f"Mission time by {what_groups(records)}", _OF_TIMES, draw_times(groups)))
+    if differing := differences(records):
+        listed = element("ul", *(element("li", in_words(each)) for each in differing))
+        heading = "Differences within the same scenario and seed"
+        drawn.append(_figure(heading, _OF_DIFFERENCES, draw_differences(differing), listed))
     drawn.append(element("section", element("h2", "All flights"), tables.flights(records)))
     return drawn
 

@@ -10,12 +10,12 @@ from datetime import datetime
 from upwash.core.geo import GeoPosition, Position
 from upwash.core.knowledge.servers import State
 from upwash.eventlog import schema
-from upwash.eventlog.ending import Ending, EndingSoFar
+from upwash.eventlog.ending import EndingSoFar
 from upwash.eventlog.notices import Notice, Notices
 from upwash.eventlog.reasons import CallText, ExplainedAnswer, ExplainedCall, Reasons, worst_of
-from upwash.eventlog.results import RunResult, Tally
+from upwash.eventlog.results import Tally
 from upwash.eventlog.schema import Event
-from upwash.report.findings import Finder, Finding, Pairing
+from upwash.report.findings import Finder, Finding
 from upwash.report.numbering import FlightFindings
 from upwash.report.outcome import UNPLANNED, Outcome
 from upwash.support.text import by_name
@@ -77,7 +77,10 @@ class Story:
         self._take_explained(self.explained)
         match event:
             case schema.Planned():
-                self._take_plan(event)
+                self.plan = event if self.plan is UNPLANNED else self.plan
+                self.home = self.home or event.home
+                for server in (*event.ranges, *event.measured):
+                    self._know(server)
             case schema.MissionStarted(drone=drone):
                 self.drone = drone
             case schema.LogResumed():  # a program that starts again knows no server's state
@@ -95,12 +98,6 @@ class Story:
                 for text in self.worst:
                     if text.call.number == number:
                         text.answers.append(explained)
-
-    def _take_plan(self, plan: schema.Planned) -> None:
-        self.plan = plan if self.plan is UNPLANNED else self.plan
-        self.home = self.home or plan.home
-        for server in (*plan.ranges, *plan.measured):
-            self._know(server)
 
     def _know(self, server: str, state: State = State.AVL) -> list[tuple[float, State, str]]:
         """The steps of the server, which had that state if nothing was known of it."""
@@ -136,18 +133,14 @@ class Story:
             ]
         return found
 
-    def finish(self) -> None:
-        """Let go of what only further events need: a long flight's report keeps its story."""
-        self.reasons, self.finder.pairing = Reasons(), Pairing()
-        self._notices, self._ending = Notices(), EndingSoFar()
+    @property
+    def findings(self) -> Sequence[Finding]:
+        """Each sighting that the log tells, until now."""
+        return self.finder.found
 
-    def ending(self, result: RunResult) -> Ending:
-        """What a person should know of the run afterwards; the result is its own."""
-        return self._ending.ending(result, self.began_s)
-
-    def findings(self, log: str) -> FlightFindings:
+    def findings_of(self, log: str) -> FlightFindings:
         """What was found until now, on the flight of that log."""
-        return FlightFindings(log, self.drone, self.opened, self.began_s, self.home, list(self.finder.found))
+        return FlightFindings(log, self.drone, self.opened, self.began_s, self.home, list(self.findings))
 
     def outcome(self, name: str) -> Outcome | None:
         """The outcome of the run until now, under that name; None before the mission."""

@@ -97,10 +97,6 @@ def _mean(delays_s: Sequence[float] | None) -> str:
     return f"{sum(delays_s) / len(delays_s):.2f} s" if delays_s else ""
 
 
-def _time(result: RunResult) -> str:
-    return f"{result.mission_time_s:.1f} s{'' if result.completed else ', not completed'}"
-
-
 def _reached(result: RunResult) -> str:
     return f"{result.waypoints - len(result.undone)} of {result.waypoints}"
 
@@ -129,15 +125,15 @@ def _drawn(result: RunResult) -> str:
 
 
 _ALWAYS: Mapping[str, Callable[[RunResult], str]] = {
-    "policy": lambda result: result.policy,
-    "mission time": _time,
+    "policy": lambda run: run.policy,
+    "mission time": lambda run: f"{run.mission_time_s:.1f} s{'' if run.completed else ', not completed'}",
     "waypoints reached": _reached,
-    "calls": lambda result: str(result.totals.calls),
-    "calls by place": lambda result: by_place(result.totals),
-    "calls that fell back to the drone": lambda result: str(result.totals.fallbacks),
+    "calls": lambda run: str(run.totals.calls),
+    "calls by place": lambda run: by_place(run.totals),
+    "calls that fell back to the drone": lambda run: str(run.totals.fallbacks),
     "waits, wasted": _waits,
-    "selections of a server": lambda result: str(result.totals.switches),
-    "time spent in calls": lambda result: f"{result.totals.service_delay_s:.1f} s",
+    "selections of a server": lambda run: str(run.totals.switches),
+    "time spent in calls": lambda run: f"{run.totals.service_delay_s:.1f} s",
     "with every call on the drone": _local_only,
     "saved by offloading": _saved,
 }

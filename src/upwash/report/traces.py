@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from upwash.core.geo import Position, part_way
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
+from upwash.report.exports import as_csv
 from upwash.report.record import Record
 from upwash.report.story import place_of
 
@@ -42,7 +41,7 @@ def traces_of(record: Record) -> dict[str, str]:
         ):
             if rows := list(_changes(record.events, since_s, value)):
                 found[name] = columns, rows
-    return {name: _written(columns, rows) for name, (columns, rows) in found.items()}
+    return {name: as_csv([columns.split(","), *rows]) for name, (columns, rows) in found.items()}
 
 
 def settings_of(files: Iterable[str]) -> Iterator[str]:
@@ -129,10 +128,3 @@ def _changes(
 
 def _number(value: float) -> str:
     return f"{round(value, 3):g}" if abs(value) < 1000 else f"{value:.3f}"
-
-
-def _written(columns: str, rows: Sequence[Sequence[object]]) -> str:
-    text = io.StringIO()
-    text.write(f"{columns}\n")
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue()

@@ -80,7 +80,7 @@ def application(feed: Feed, photos: PhotoShelf, beneath: BaseMap | None = None) 
         return await picture(request, lambda news: news.shots, photos.find)
 
     async def crop(request: Request) -> Response:
-        return await picture(request, lambda news: news.story.finder.found, crop_for)
+        return await picture(request, lambda news: news.story.findings, crop_for)
 
     async def tile(request: Request) -> Response:
         z, x, y = (request.path_params[name] for name in "zxy")

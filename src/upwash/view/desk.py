@@ -52,16 +52,12 @@ def new_reviewing() -> Reviewing:
 
 
 class _Refused(Exception):
-    """Why a review is not taken, with the status of the answer."""
-
     def __init__(self, status: int, why: str) -> None:
         super().__init__(why)
         self.status = status
 
 
 class _Sent(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A review as the page sends it, of the flight of that log."""
-
     log: Annotated[int, Meta(ge=0)]
     finding: FindingKey
     verdict: Verdict
@@ -145,7 +141,7 @@ class Desk:
     def _log_of(self, sent: _Sent) -> Path:
         recordings = self._feed.recordings
         recording = recordings[sent.log] if sent.log < len(recordings) else None
-        if recording is None or all(found.key != sent.finding for found in recording.news.story.finder.found):
+        if recording is None or all(found.key != sent.finding for found in recording.news.story.findings):
             raise _Refused(404, "the log has no such finding any more: load the page again")
         return recording.log
 

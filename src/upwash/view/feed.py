@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import secrets
 import time
 from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
@@ -15,7 +16,7 @@ from upwash.report.numbering import FlightFindings, Numbered, are_a_fleet, numbe
 from upwash.report.outcome import what_it_came_to
 from upwash.report.record import names_of
 from upwash.report.reviewed import ReviewedFindings, with_reviews
-from upwash.report.reviews import FindingKey, Review, ReviewsBeside, Verdict, review_file
+from upwash.report.reviews import FindingKey, ReviewsBeside, Verdict, review_file
 from upwash.view.elsewhere import Elsewhere, elsewhere
 from upwash.view.recording import Piece, Recording, as_one
 from upwash.view.tiles import Tiles
@@ -100,7 +101,6 @@ class Found(msgspec.Struct, frozen=True):
 
 
 def _found(found: ReviewedFindings, log: int, *, is_a_fleet: bool) -> Found:
-    """What was found on the flight of that log, as one page says it."""
     flights = found.flights
     own = found.of_flight(log)
     here = offset_m(flights, log) if is_a_fleet else (0.0, 0.0)
@@ -122,19 +122,17 @@ def _found(found: ReviewedFindings, log: int, *, is_a_fleet: bool) -> Found:
         what_was_found(each.finding for each in told.objects),
         [found.everything[position].number for position in found.positions[log]],
         objects,
-        {each.number: _seen_review(each.review) for each in told.everything if each.review},
+        {
+            each.number: SeenReview(review.verdict, review.label, review.note, review.reviewer)
+            for each in told.everything
+            if (review := each.review) is not None
+        },
         told.tally.remarks,
     )
 
 
-def _seen_review(review: Review) -> SeenReview:
-    return SeenReview(review.verdict, review.label, review.note, review.reviewer)
-
-
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """What a page has of a log."""
-
     run: int = 0
     facts: int = 0
     trouble: str = ""
@@ -197,7 +195,6 @@ class Feed:
         self._news = asyncio.Event()
 
     def _summarize(self) -> None:
-        """Says what the missions came to that are over."""
         over = {
             log: recording.run
             for log, recording in enumerate(self.recordings)
@@ -206,32 +203,22 @@ class Feed:
         if over == self._summarized:
             return
         self._summarized = over
-        outcomes = {
-            log: outcome
-            for log in over
-            if (outcome := self.recordings[log].news.story.outcome(self._names[log])) is not None
-        }
-        self._summaries = {
-            log: what_it_came_to(outcome, list(outcomes.values())) for log, outcome in outcomes.items()
-        }
+        ended = {log: self.recordings[log].news.story.outcome(self._names[log]) for log in over}
+        outcomes = {log: outcome for log, outcome in ended.items() if outcome is not None}
+        every = list(outcomes.values())
+        self._summaries = {log: what_it_came_to(outcome, every) for log, outcome in outcomes.items()}
         together = _are_of_several_drones(self.recordings)
         self._elsewhere = {} if together else elsewhere(outcomes, self._flown)
 
     @property
     def flights(self) -> list[FlightFindings]:
         """The findings of each flight until now, with their reviews."""
-        flights = [
-            each.news.story.findings(name) for each, name in zip(self.recordings, self._names, strict=True)
-        ]
-        return self._with_reviews(flights)
+        named = zip(self.recordings, self._names, strict=True)
+        return self._with_reviews([recording.news.story.findings_of(name) for recording, name in named])
 
     def _with_reviews(self, flights: list[FlightFindings]) -> list[FlightFindings]:
-        if not self._reviews:
-            return flights
-        return [
-            replace(flight, reviews=beside.reviews)
-            for flight, beside in zip(flights, self._reviews, strict=True)
-        ]
+        pairs = zip(flights, self._reviews, strict=True) if self._reviews else ()
+        return [replace(flight, reviews=beside.reviews) for flight, beside in pairs] or flights
 
     def _number(self, *, at_once: bool = True) -> bool:
         """Numbers what was found, once all logs are read to their ends, and looks at the reviews.
@@ -256,7 +243,7 @@ class Feed:
         began_s = time.monotonic()
         if began_s < self._next_numbering_s and not at_once:
             return False
-        count = [(recording.run, len(recording.news.story.finder.found)) for recording in self.recordings]
+        count = [(recording.run, len(recording.news.story.findings)) for recording in self.recordings]
         if count == self._counted:
             return False
         flights = self.flights
@@ -312,13 +299,11 @@ class Feed:
 
     def _seen(self, after: str) -> list[_Seen]:
         identity, *counts = after.split(".")
-        if identity != self._identity or len(counts) != len(self.recordings):
-            return [_Seen()] * len(self.recordings)
-        try:
-            pairs = [[int(number) for number in each.split("-")] for each in counts]
-            return [_Seen(run, facts) for run, facts in pairs]
-        except ValueError:
-            return [_Seen()] * len(self.recordings)
+        if identity == self._identity and len(counts) == len(self.recordings):
+            with contextlib.suppress(ValueError):
+                pairs = [map(int, each.split("-")) for each in counts]
+                return [_Seen(run, facts) for run, facts in pairs]
+        return [_Seen()] * len(self.recordings)
 
 
 def _are_of_several_drones(recordings: Sequence[Recording]) -> bool:

@@ -30,8 +30,6 @@ _FILED = 1000  # findings; of more, the page has no files for other tools
 
 
 class _Photo(msgspec.Struct, frozen=True):
-    """A photo of a page: its source, and how large it was in pixels."""
-
     source: str
     width: int
     height: int
@@ -76,19 +74,6 @@ def write_page(
     title = f"Flight report: {names if len(records) <= _SIDE_BY_SIDE else counted(len(records), 'flight')}"
     begin, end = document(title, policy=_POLICY)
     yield begin.encode()
-    yield from _content(logs, records, photos, flown, unreviewed=unreviewed, beneath=beneath)
-    yield end.encode()
-
-
-def _content(
-    logs: Sequence[Path],
-    records: Sequence[Record],
-    photos: Path | None,
-    flown: Mapping[str, RunResult] | None,
-    *,
-    unreviewed: bool,
-    beneath: BaseMap | None,
-) -> Iterator[bytes]:
     found = [finding.photo.shot for record in records for finding in record.findings if finding.photo]
     album = _Album(photos, itertools.islice(dict.fromkeys(found), _PHOTOS))
     yield draw_sheet(records, album).encode()
@@ -101,6 +86,7 @@ def _content(
         yield from _data("told", _items(feed.everything()))
         shown = itertools.islice(_photos(recordings, album), _PHOTOS)
         yield from _data("photos", _members(shown))
+    yield end.encode()
 
 
 def _places(records: Sequence[Record]) -> Iterator[GeoPosition]:
@@ -115,7 +101,6 @@ def _places(records: Sequence[Record]) -> Iterator[GeoPosition]:
 
 
 def _files(records: Sequence[Record]) -> dict[str, str]:
-    """The files that the page has of what was found, by name."""
     reviewed = reviewed_of(records)
     found, words = reviewed.objects, reviewed.tally.words
     if len(found) > _FILED:

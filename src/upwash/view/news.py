@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-import msgspec
+from msgspec.structs import replace
 
-from upwash.core.camera.georeference import PhotoGeometry
 from upwash.core.geo import LocalFrame, Position
 from upwash.core.operation import ON_DRONE
 from upwash.core.vehicle.control import Owner
@@ -33,6 +32,9 @@ _ON_CALLS = (
     schema.RemoteRaised,
     schema.TurnOver,
 )
+_REPORTED = (
+    "ground_speed_m_s", "heading_deg", "battery_percent", "server", "round_trip_s", "down_s",
+)  # fmt: skip
 _STALE_S = 1.5  # a flown log has a position each second, a simulated log with each event
 
 
@@ -100,16 +102,8 @@ class News:
             yield facts.Said(at_s=self._now_s, words=said.text, tone=said.tone)
 
     def _notice(self, notice: Notice) -> facts.Notice:
-        return facts.Notice(
-            at_s=self._now_s,
-            key=notice.key,
-            level=notice.level,
-            cause=notice.cause,
-            action=notice.action,
-            rank=notice.rank,
-            since_s=notice.since_s,
-            times=notice.times,
-        )
+        told = {name: getattr(notice, name) for name in facts.Notice.__struct_fields__ if name != "at_s"}
+        return facts.Notice(at_s=self._now_s, **told)
 
     # --- where the drone is, and what it does -----------------------------------------------------------------
 
@@ -119,33 +113,21 @@ class News:
             here = self._place if isinstance(event, schema.SetOff) else None  # simulated logs do not say
         if here is not None and self._is_news(here):
             yield self._fix(here, event if isinstance(event, schema.PositionReport) else None)
-        if isinstance(event, schema.LimitsRead) and event.home is not None:
-            yield facts.Home(at_s=self._now_s, east_m=event.home.east_m, north_m=event.home.north_m)
-        if isinstance(event, schema.LimitsRead) and (event.low_percent or event.critical_percent):
-            yield facts.Stages(
-                at_s=self._now_s, low_percent=event.low_percent, critical_percent=event.critical_percent
-            )
+        if isinstance(event, schema.LimitsRead):
+            if event.home is not None:
+                yield facts.Home(at_s=self._now_s, east_m=event.home.east_m, north_m=event.home.north_m)
+            low, critical = event.low_percent, event.critical_percent
+            if low or critical:
+                yield facts.Stages(at_s=self._now_s, low_percent=low, critical_percent=critical)
 
     def _is_news(self, here: Position) -> bool:
         return here != self._place or self._now_s - self._placed_s > _STALE_S
 
     def _fix(self, here: Position, report: schema.PositionReport | None) -> facts.Fix:
         self._place, self._placed_s = here, self._now_s
-        if report is None:
-            return facts.Fix(
-                at_s=self._now_s, east_m=here.east_m, north_m=here.north_m, altitude_m=here.altitude_m
-            )
+        told = {} if report is None else {name: getattr(report, name) for name in _REPORTED}
         return facts.Fix(
-            at_s=self._now_s,
-            east_m=here.east_m,
-            north_m=here.north_m,
-            altitude_m=here.altitude_m,
-            ground_speed_m_s=report.ground_speed_m_s,
-            heading_deg=report.heading_deg,
-            battery_percent=report.battery_percent,
-            server=report.server,
-            round_trip_s=report.round_trip_s,
-            down_s=report.down_s,
+            at_s=self._now_s, east_m=here.east_m, north_m=here.north_m, altitude_m=here.altitude_m, **told
         )
 
     def _progress(self, event: Event) -> Iterator[Fact]:
@@ -184,19 +166,12 @@ class News:
         yield from self._state(event)
 
     def _state(self, event: Event) -> Iterator[Fact]:
-        """What is new of the vehicle and of what it does."""
         control, vehicle = self._control, self._vehicle
-        now = facts.Vehicle(
-            at_s=vehicle.at_s,
-            mode=control.mode,
-            armed=control.armed,
-            gps=vehicle.gps,
-            satellites=vehicle.satellites,
-        )
+        now = replace(vehicle, mode=control.mode, armed=control.armed)
         if isinstance(event, schema.PositionReport) and event.gps is not None:
-            now = msgspec.structs.replace(now, gps=event.gps, satellites=event.satellites)
+            now = replace(now, gps=event.gps, satellites=event.satellites)
         if now != vehicle:
-            self._vehicle = msgspec.structs.replace(now, at_s=self._now_s)
+            self._vehicle = replace(now, at_s=self._now_s)
             yield self._vehicle
         doing = facts.Doing(
             at_s=0.0,
@@ -208,7 +183,7 @@ class News:
         )
         if doing != self._doing:
             self._doing = doing
-            yield msgspec.structs.replace(doing, at_s=self._now_s)
+            yield replace(doing, at_s=self._now_s)
 
     def _measured(self, server: str, place: schema.MeasuredRecord) -> facts.Measured:
         return facts.Measured(
@@ -236,9 +211,8 @@ class News:
 
     def _step(self, server: str) -> facts.Step:
         _, state, why = self.story.steps[server][-1]
-        return facts.Step(
-            at_s=self._now_s, server=server, state=STATE_WORDS[state], tone=tone_of(state), why=why
-        )
+        words = STATE_WORDS[state]
+        return facts.Step(at_s=self._now_s, server=server, state=words, tone=tone_of(state), why=why)
 
     def _under_way(self, event: Event) -> Iterator[Fact]:
         """Where the open call is, or the last of several, if the event changes that."""
@@ -261,13 +235,12 @@ class News:
     def _decision(self, course: Course, decision: Considered) -> facts.Decision:
         decided, alone = decision.decided, course.server is None
         limit_s = decided.local_s if alone else course.at_most_s
+        here = self.story.tally.whereabouts.of_call_under_way
         return facts.Decision(
             at_s=self._now_s,
             number=self.story.reasons.ended,
             operation=decided.operation,
-            waypoint=self.story.tally.whereabouts.of_call_under_way
-            if decided.waypoint is None
-            else decided.waypoint,
+            waypoint=here if decided.waypoint is None else decided.waypoint,
             words=[f"{course.sentence}.", *decision_lines(decided)],
             estimates=_estimates(decision),
             began_s=course.began_s,
@@ -312,10 +285,8 @@ class News:
                 yield facts.Going(at_s=self._now_s, waypoint=waypoint, words=why)
             case schema.Arrived(passing=True, waypoint=waypoint):
                 yield facts.Going(at_s=self._now_s, waypoint=waypoint, words="it takes photos in flight")
-            case schema.TurnedBack(waypoint=waypoint, position=place):
-                yield facts.Turn(
-                    at_s=self._now_s, waypoint=waypoint, east_m=place.east_m, north_m=place.north_m
-                )
+            case schema.TurnedBack(waypoint=waypoint, position=at):
+                yield facts.Turn(at_s=self._now_s, waypoint=waypoint, east_m=at.east_m, north_m=at.north_m)
             case schema.CallStarted(waypoint=waypoint):
                 yield facts.Started(at_s=self._now_s, waypoint=waypoint)
             case schema.AnswerTaken(waypoint=waypoint):
@@ -331,6 +302,7 @@ class News:
         photo = self.story.finder.pairing.last
         if isinstance(event, schema.PhotoTaken) and photo is not None:
             self.shots.append(photo.shot)
+            corners_m = photo.corners_m
             yield facts.Shot(
                 at_s=self._now_s,
                 number=photo.number,
@@ -338,7 +310,7 @@ class News:
                 source=photo.shot.source,
                 kept=self._keeps(photo.shot.source),
                 truth=found_objects(event.truth),
-                footprint_m=_corners(event.geometry),
+                footprint_m=corners_m and [(round(east, 2), round(north, 2)) for east, north in corners_m],
             )
         for each in self.story.found:
             if each.photo is not None:
@@ -355,16 +327,8 @@ class News:
             score=found.score,
             box=found.box,
             photo=found.photo.number if found.photo else None,
-            pictured=found.box is not None
-            and found.photo is not None
-            and self._keeps(found.photo.shot.source),
+            pictured=bool(found.box and found.photo and self._keeps(found.photo.shot.source)),
         )
-
-
-def _corners(geometry: PhotoGeometry | None) -> list[tuple[float, float]] | None:
-    """The photo's corners on the ground, to the centimetre."""
-    corners = geometry.footprint_m() if geometry else None
-    return corners and [(round(east, 2), round(north, 2)) for east, north in corners]
 
 
 def _estimates(decision: Considered) -> Sequence[facts.Estimate]:

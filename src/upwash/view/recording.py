@@ -52,12 +52,15 @@ class Recording:
     def __init__(self, log: Path, keeps: Callable[[str], bool], most_bytes: int | None = None) -> None:
         self.log = log
         self.run = 0
-        self.caught_up = False
         self.trouble = ""
         self._keeps = keeps
         self._most_bytes = most_bytes or _MOST_BYTES
-        self._tail = Tail(log)
-        self._lines = LineReader(log)
+        self._open()
+
+    def _open(self) -> None:
+        self._tail = Tail(self.log)
+        self._lines = LineReader(self.log)
+        self.caught_up = False
         self._begin()
 
     def _begin(self) -> None:
@@ -74,7 +77,8 @@ class Recording:
         try:
             content = self._tail.read()
             if content is None and self._tail.was_replaced():
-                self._start_over()
+                self._tail.close()
+                self._open()
                 return True
             self._take(content or b"")
         except UsageError as error:
@@ -88,13 +92,6 @@ class Recording:
     def is_behind(self) -> bool:
         """Whether the log has more, which is yet to be read."""
         return not self.caught_up and not self.trouble
-
-    def _start_over(self) -> None:
-        self._tail.close()
-        self._tail = Tail(self.log)
-        self._lines = LineReader(self.log)
-        self.caught_up = False
-        self._begin()
 
     def _take(self, content: bytes) -> None:
         told: list[Fact] = []

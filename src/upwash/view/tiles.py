@@ -26,11 +26,8 @@ _URL = re.compile(r"(https?://[A-Za-z0-9.-]+(?::\d+)?)/[^\s\"'<>]*")
 _SERVED = "tiles/{z}/{x}/{y}"  # by the page's own program
 _MOST_ZOOM = 30
 _MOST_BYTES = 2**20  # of a tile, and of a directory of tiles
-_KINDS = {
-    b"\x89PNG": "image/png",
-    b"\xff\xd8\xff": "image/jpeg",
-    b"RIFF": "image/webp",
-}  # by their first bytes
+# The kinds of pictures by their first bytes.
+_KINDS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp"}
 _SUFFIXES = ("png", "jpg", "jpeg", "webp")
 _AT_ONCE, _OVERVIEW = 16, 15  # of the first zoom that a document has: the most tiles, and the zoom
 _MOST_INLINED = 2_000
@@ -223,7 +220,6 @@ def _around(corners: Iterable[GeoPosition], zoom: int) -> list[tuple[int, int]]:
 
 
 def _tile_of(place: GeoPosition, zoom: int) -> tuple[int, int]:
-    """The tile that shows the place."""
     count, latitude = 2**zoom, math.radians(max(-85.05, min(85.05, place.latitude_deg)))
     x = (place.longitude_deg + 180) / 360 * count
     y = (1 - math.asinh(math.tan(latitude)) / math.pi) / 2 * count

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import time
+from collections import defaultdict
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -190,13 +191,13 @@ def _fly(chunk: Chunk, seed: int) -> CampaignRow:
         mission_time_s=flown.mission_time_s,
         completed=flown.completed,
         failure=_one_line(flown.failure),
-        bound_s=flown.bound_s,
-        bound_with_joins_s=flown.bound_with_joins_s,
+        bound_s=flown.bound.free_s if flown.bound else None,
+        bound_with_joins_s=flown.bound.with_joins_s if flown.bound else None,
         energy_wh=energy.get("total_wh"),
         completed_drones=fleet.completed if fleet else None,
         worst_s=fleet.worst_s if fleet else None,
         jain=fleet.fairness if fleet else None,
-        bound_shared_s=fleet.bound.shared_s if fleet and fleet.bound else None,
+        bound_shared_s=flown.least_s if fleet else None,
         **totals,
         **{name: value for name, value in energy.items() if name in ENERGY},
     )
@@ -215,9 +216,7 @@ def _chunks(sweep: ParameterSweep, done: Iterable[CampaignRow], runs: int) -> It
 
 
 def _summaries(sweep: ParameterSweep, rows: Sequence[CampaignRow]) -> list[CombinationSummary]:
-    by_values: dict[tuple[str, ...], list[CampaignRow]] = {
-        combination.values: [] for combination in sweep.combinations
-    }
+    by_values: dict[tuple[str, ...], list[CampaignRow]] = defaultdict(list)
     for row in rows:
         by_values[row.values].append(row)
     return [_summary(combination, by_values[combination.values]) for combination in sweep.combinations]

@@ -12,7 +12,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import NamedTuple
 
-import msgspec
+from msgspec.structs import replace
 
 from upwash.config.drone import DroneConfig, ServerConfig
 from upwash.config.plan_photos import photo_legs
@@ -27,9 +27,7 @@ from upwash.lab.scenario import name_of, read_scenario, with_policy
 from upwash.lab.worlds import draw_world
 from upwash.support.confidence import Mean, mean_of, mean_saving
 
-_NOISE = NoiseConfig(
-    call=0.03, leg=0.02
-)  # of a scenario without any: without it all seeds are the same mission
+_NOISE = NoiseConfig(call=0.03, leg=0.02)  # of a scenario without any: else all seeds are the same mission
 
 
 class NamedScenario(NamedTuple):
@@ -40,7 +38,7 @@ class NamedScenario(NamedTuple):
 
     def flown(self, seed: int) -> DroneConfig:
         """The scenario with that seed."""
-        return msgspec.structs.replace(self.config, seed=seed)
+        return replace(self.config, seed=seed)
 
 
 class DrawnWorlds(NamedTuple):
@@ -76,7 +74,6 @@ class Entrant(NamedTuple):
 
     def enters(self, config: DroneConfig) -> DroneConfig:
         """The scenario as it flies there."""
-        replace = msgspec.structs.replace
         config = with_policy(config, self.policy)
         if self.among_peers:
             config = replace(config, servers=_all_peers(config.servers))
@@ -215,20 +212,22 @@ def read_scenarios(
     )
     for _, name in repeated([name for name, _ in named]):
         raise UsageError(f"two scenarios are called {name}: give them different names")
-    return [
-        NamedScenario(name, _with_noise(read_scenario(scenario, overrides=overrides)))
-        for name, scenario in named
-    ]
+    found = []
+    for name, scenario_of in named:
+        config = read_scenario(scenario_of, overrides=overrides)
+        noise = _NOISE if config.noise == NoiseConfig() else config.noise
+        found.append(NamedScenario(name, replace(config, noise=noise)))
+    return found
 
 
 def thesis_scenarios() -> list[NamedScenario]:
     """The eight cells of the thesis's experiments."""
+    cells = (
+        ThesisCell(setup, experiment, "location-aware") for setup, experiment in product(SETUPS, EXPERIMENTS)
+    )
     return [
-        NamedScenario(
-            f"thesis, {experiment.name}, {setup}",
-            scenario(ThesisCell(setup, experiment, "location-aware"), seed=1),
-        )
-        for setup, experiment in product(SETUPS, EXPERIMENTS)
+        NamedScenario(f"thesis, {cell.experiment.name}, {cell.setup}", scenario(cell, seed=1))
+        for cell in cells
     ]
 
 
@@ -243,35 +242,22 @@ def _entrants(policies: Sequence[str] | None) -> Sequence[Entrant]:
     return [known[policy] for policy in policies]
 
 
-def _with_noise(config: DroneConfig) -> DroneConfig:
-    return msgspec.structs.replace(config, noise=_NOISE) if config.noise == NoiseConfig() else config
-
-
 def _fly_all(flights: Sequence[ComparedFlight]) -> list[FlightOutcome]:
-    return [_fly(flight) for flight in flights]
-
-
-def _fly(flight: ComparedFlight) -> FlightOutcome:
-    config = flight.entrant.enters(flight.scenario.flown(flight.seed))
-    outcome = fly(config)
-    if not outcome.completed and (config.energy is None or config.energy.battery_wh is None):
-        raise UpwashError(
-            f"{flight.scenario.name}, {flight.entrant.name}, seed {flight.seed}: {outcome.failure}"
-        )
-    return outcome
+    outcomes = []
+    for case, entrant, seed in flights:
+        config = entrant.enters(case.flown(seed))
+        outcomes.append(outcome := fly(config))
+        if not outcome.completed and (config.energy is None or config.energy.battery_wh is None):
+            raise UpwashError(f"{case.name}, {entrant.name}, seed {seed}: {outcome.failure}")
+    return outcomes
 
 
 def _all_peers(servers: Sequence[ServerConfig]) -> tuple[ServerConfig, ...]:
-    replace = msgspec.structs.replace
-    return tuple(
-        replace(
-            server,
-            truth=replace(
-                server.truth, peers=tuple(other.name for other in servers if other.name != server.name)
-            ),
-        )
-        for server in servers
-    )
+    def among(server: ServerConfig) -> ServerConfig:
+        others = tuple(other.name for other in servers if other.name != server.name)
+        return replace(server, truth=replace(server.truth, peers=others))
+
+    return tuple(map(among, servers))
 
 
 def _rows(

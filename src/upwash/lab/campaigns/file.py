@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import io
-from collections.abc import Iterable, Sequence
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -17,6 +17,7 @@ from upwash.config.reading import Document
 from upwash.errors import NotWritten, UsageError
 from upwash.lab.campaigns.sweep import ParameterSweep
 from upwash.lab.scenario import told
+from upwash.report.exports import as_csv
 from upwash.support.loading import extra
 from upwash.support.output_files import append_whole, flush_to_disk, write_file
 from upwash.support.software import software
@@ -63,12 +64,26 @@ class CampaignRow(msgspec.Struct, frozen=True):
 
 
 ENERGY = ("energy_wh", "flight_wh", "hover_wh", "computing_wh", "radio_wh")
-_FLEET = ("completed_drones", "worst_s", "jain", "bound_shared_s")
-_LIGHTER = ("lighter",)
-_GOING = ("went_on", "turns_back", "hidden_s")
-_TWO_ANSWERS = ("first_answers", "first_alone")
-_DEADLINES = ("in_time", "late", "second_servers")
-_SOME = frozenset((*ENERGY, *_FLEET, *_LIGHTER, *_GOING, *_TWO_ANSWERS, *_DEADLINES))
+
+
+def _may_go(document: Document) -> bool:
+    policy = document.get("policy")
+    return isinstance(policy, dict) and policy.get("stay_or_go", "stay") != "stay"
+
+
+def _of_services(key: str) -> Callable[[Document], bool]:
+    return lambda document: any(key in service for service in document.get("service", ()))
+
+
+_OF_SOME: Mapping[tuple[str, ...], Callable[[Document], bool]] = {  # columns, and which scenarios fill them
+    ENERGY: lambda document: "energy" in document,
+    ("completed_drones", "worst_s", "jain", "bound_shared_s"): lambda document: "drone" in document,
+    ("lighter",): lambda document: "lighter" in document["mission"],
+    ("went_on", "turns_back", "hidden_s"): _may_go,
+    ("first_answers", "first_alone"): _of_services("two_answers"),
+    ("in_time", "late", "second_servers"): _of_services("deadline"),
+}
+_SOME = frozenset(itertools.chain(*_OF_SOME))
 _COLUMNS = tuple(name for name in CampaignRow.__struct_fields__[1:] if name not in _SOME)
 
 
@@ -86,22 +101,14 @@ class Note(msgspec.Struct, frozen=True):
 class CampaignFile:
     """The rows of a campaign, in memory and in its file."""
 
-    def __init__(
-        self, csv_file: Path, parquet_file: Path | None, sweep: ParameterSweep, rows: list[CampaignRow]
-    ) -> None:
-        self.rows = rows
-        self._csv_file = csv_file
-        self._parquet_file = parquet_file
+    def __init__(self, out: Path, sweep: ParameterSweep) -> None:
+        self.rows: list[CampaignRow] = []
         self.sweep = sweep
+        self._csv_file = out.with_suffix(".csv")
+        self._parquet_file = out if out.suffix == ".parquet" else None
         documents = [combination.document for combination in sweep.combinations]
-        metered = ENERGY if any("energy" in document for document in documents) else ()
-        together = _FLEET if any("drone" in document for document in documents) else ()
-        timed = _LIGHTER if any("lighter" in document["mission"] for document in documents) else ()
-        goes = _GOING if any(_may_go(document) for document in documents) else ()
-        services = [service for document in documents for service in document.get("service", ())]
-        twice = _TWO_ANSWERS if any("two_answers" in service for service in services) else ()
-        surely = _DEADLINES if any("deadline" in service for service in services) else ()
-        self._columns = (*_COLUMNS, *metered, *together, *timed, *goes, *twice, *surely)
+        of_some = [names for names, fills in _OF_SOME.items() if any(map(fills, documents))]
+        self._columns = (*_COLUMNS, *itertools.chain(*of_some))
 
     @classmethod
     def open(cls, out: Path, sweep: ParameterSweep) -> CampaignFile:
@@ -114,8 +121,8 @@ class CampaignFile:
         if out.suffix == ".parquet":
             with extra("parquet"):
                 import pyarrow  # noqa: F401
-        csv_file = out.with_suffix(".csv")
-        file = cls(csv_file, out if out.suffix == ".parquet" else None, sweep, [])
+        file = cls(out, sweep)
+        csv_file = file._csv_file
         try:
             file._claim()
             if csv_file.exists():
@@ -148,7 +155,8 @@ class CampaignFile:
         """Sorts the rows by combination and seed, and writes the Parquet file where one is wanted."""
         order = {combination.values: number for number, combination in enumerate(self.sweep.combinations)}
         self.rows.sort(key=lambda row: (order[row.values], row.seed))
-        write_file(self._csv_file, _as_csv([self._header(), *(self._cells(row) for row in self.rows)]))
+        rows = [self._header(), *map(self._cells, self.rows)]
+        write_file(self._csv_file, as_csv(rows).encode())
         if self._parquet_file is not None:
             write_file(self._parquet_file, _as_parquet(self._csv_file))
 
@@ -180,12 +188,6 @@ class CampaignFile:
         write_file(note_file, msgspec.json.format(msgspec.json.encode(note)) + b"\n")
 
 
-def _may_go(document: Document) -> bool:
-    """Whether a drone may fly on before it has answers."""
-    policy = document.get("policy")
-    return isinstance(policy, dict) and policy.get("stay_or_go", "stay") != "stay"
-
-
 def _described(note: Note | None) -> str:
     if note is None:
         return "no campaign"
@@ -211,25 +213,13 @@ def _row(cells: Sequence[str], columns: Sequence[str], settings: int) -> Campaig
 
 
 def _cell(value: object) -> str:
-    match value:
-        case None:
-            return ""
-        case bool():
-            return str(value).lower()
-        case _:
-            return str(value)
+    return "" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _write(csv_file: Path, rows: Iterable[Sequence[str]]) -> None:
     with csv_file.open("ab", buffering=0) as file:
-        append_whole(file.fileno(), _as_csv(rows))  # at once, so that a kill tears a row at most
+        append_whole(file.fileno(), as_csv(rows).encode())  # at once, so that a kill tears a row at most
         flush_to_disk(file.fileno())
-
-
-def _as_csv(rows: Iterable[Sequence[str]]) -> bytes:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue().encode()
 
 
 def _drop_torn_row(csv_file: Path) -> None:

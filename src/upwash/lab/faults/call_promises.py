@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TypeGuard
 
 import msgspec
 
@@ -18,20 +17,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.progress import CallPlaces
 from upwash.eventlog.schema import Event
 from upwash.lab.faults import mission as probing
-from upwash.lab.faults.history import (
-    ROUNDING_S,
-    SLACK_S,
-    Breach,
-    FlownCall,
-    History,
-    calls_of,
-    deadline_of,
-    flies_rows,
-    may_be_cut_short,
-    position_jumps,
-    service_of,
-    within_s,
-)
+from upwash.lab.faults.history import ROUNDING_S, SLACK_S, Breach, FlownCall, History, deadline_of, service_of
 from upwash.lab.faults.mission import ActionReport, demands_something, is_waited_for
 from upwash.lab.observer import Observation
 from upwash.support.text import counted
@@ -45,7 +31,7 @@ def bounded_calls(history: History) -> Iterator[Breach]:
     computed: dict[str, deque[Observation]] = {}  # by service, as a hedged call may outlast one of another
     for fact in history.own("computed"):
         computed.setdefault(service_of(fact), deque()).append(fact)
-    calls = list(calls_of(history.run.events, within_s=within_s(history.config)))
+    calls = history.calls
     before_s: dict[str, float] = {}  # of the last hedged call, by service
     if not history.seen:  # without an observer: no longer than the longest in the log
         for call in calls:
@@ -60,10 +46,10 @@ def bounded_calls(history: History) -> Iterator[Breach]:
             yield from _allowed_too_much(decided, policy.gain_wait, patient=patient)
         yield from _hedged_too_late(call)
         service = service_of(ended)
-        most_s = math.inf if flies_rows(history.config) else before_s.get(service, 0.0)  # in line with others
+        most_s = math.inf if history.flies_rows else before_s.get(service, 0.0)  # in line with others
         if call.queued_s > most_s + SLACK_S:
             yield ended, f"waited {call.queued_s:.3f} s for a service that needed {most_s:.3f} s"
-        if flies_rows(history.config) and (not ended.onboard_s or within_s(history.config)):
+        if history.flies_rows and (not ended.onboard_s or history.within_s):
             continue  # it was in line until a server answered it; or calls do not end in the order of computing
         if computed.get(service) and call.computed:
             before_s[service] = took_s = computed[service].popleft().took_s
@@ -122,13 +108,13 @@ def _hedged_too_late(call: FlownCall) -> Iterator[Breach]:
 
 def one_answer(history: History) -> Iterator[Breach]:
     """One result a call, its own; a server's within the deadline."""
-    for call in calls_of(history.run.events):
+    for call in history.calls:
         yield from _unbelievable(call)
-    if within_s(history.config):
+    if history.within_s:
         yield from _two_answers(history)
         return
-    told, known = _told(history), set[int]()
-    in_any_order = flies_rows(history.config) or _acts_later(history)
+    told, known = list(_told(history)), set[int]()
+    in_any_order = history.flies_rows or _acts_later(history)
     for number, (event, heard) in enumerate(told):
         if in_any_order:
             if heard.asked in known:
@@ -158,7 +144,7 @@ def _two_answers(history: History) -> Iterator[Breach]:
             firsts.add(event.waypoint)
         elif isinstance(event, schema.AnswerTaken) and not event.failed and whereabouts.answered is None:
             yield event, f"the answer of waypoint {event.waypoint} was taken before its call was over"
-    last_s = within_s(history.config) + SLACK_S
+    last_s = history.within_s + SLACK_S
     counted_modes: dict[int | None, str] = {}
     for call in history.run.result.calls:
         counted_modes[call.waypoint] = call.key
@@ -172,10 +158,8 @@ def _two_answers(history: History) -> Iterator[Breach]:
         if mode in modes or "heavy" in modes:
             yield event, f"call {report.asked} was answered by {mode} after {modes}"
         if report != probing.expected(history.config.mission.program, mode, report.asked):
-            yield (
-                event,
-                f"call {report.asked} was answered by {report.answer}, which is another call's answer",
-            )
+            why = f"call {report.asked} was answered by {report.answer}, which is another call's answer"
+            yield event, why
         modes.append(mode)
     for number, modes in heard.items():
         if "heavy" in modes and counted_modes.get(number) == "light":
@@ -186,16 +170,9 @@ def _answers_open(history: History) -> int:
     """How many answers a mission that ended early may have missed: the last one, or none; all where it acts later."""
     if _acts_later(history):
         return 0 if history.run.result.completed else len(history.run.result.calls)
-    last = next(
-        (
-            event
-            for event in reversed(history.run.events)
-            if isinstance(event, (schema.CallStarted, schema.Call, schema.AnswerTaken))
-        ),
-        None,
-    )
-    pending = any(isinstance(event, schema.CallStarted) for event in history.run.events)
-    return int(pending and isinstance(last, schema.Call) and not history.run.result.completed)
+    steps = list(history.logged(schema.CallStarted, schema.Call, schema.AnswerTaken))
+    pending = any(isinstance(event, schema.CallStarted) for event in steps)
+    return int(pending and isinstance(steps[-1], schema.Call) and not history.run.result.completed)
 
 
 def _unbelievable(call: FlownCall) -> Iterator[Breach]:
@@ -230,40 +207,36 @@ def truthful_errors(history: History) -> Iterator[Breach]:
     for event, heard in _told(history):
         wanted = _expected(history.config, heard.asked)
         if heard.raised != wanted.raised:
-            yield (
-                event,
-                f"call {heard.asked} raised {heard.raised or 'nothing'} instead of {wanted.raised or 'nothing'}",
-            )
-    if not may_be_cut_short(history) and history.run.failure:
+            raised, instead = heard.raised or "nothing", wanted.raised or "nothing"
+            yield event, f"call {heard.asked} raised {raised} instead of {instead}"
+    if not history.may_be_cut_short and history.run.failure:
         yield None, f"the mission met an error: {history.run.failure}"
 
 
 def _raised_afar(history: History) -> Iterator[Breach]:
     """Exceptions that a server reported and the mission received."""
-    on_rows = flies_rows(history.config) or _acts_later(history)
+    on_rows = history.flies_rows or _acts_later(history)
     servers: dict[int | None, str | None] = {}  # that answered the last call, or that of a waypoint
     for event in history.run.events:
         if isinstance(event, schema.Call):
             servers[event.waypoint if on_rows else None] = event.server
-        elif not _is_heard(event):
+        elif (heard := _heard(event)) is None:
             continue
-        elif (server := servers.get(_heard(event).asked if on_rows else None)) and _heard(event).raised:
+        elif (server := servers.get(heard.asked if on_rows else None)) and heard.raised:
             why = f"the mission heard what {server} said was raised; the drone's own service was not asked"
             yield event, why
 
 
-def _told(history: History) -> list[tuple[Event, probing.CallReport]]:
-    if not _is_probing(history.config):
-        return []
-    return [(event, _heard(event)) for event in history.run.events if _is_heard(event)]
+def _told(history: History) -> Iterator[tuple[Event, probing.CallReport]]:
+    for event in history.logged(schema.Notified) if _is_probing(history.config) else ():
+        if (heard := _heard(event)) is not None:
+            yield event, heard
 
 
-def _is_heard(event: Event) -> TypeGuard[schema.Notified]:
-    return isinstance(event, schema.Notified) and isinstance(event.message, dict) and "asked" in event.message
-
-
-def _heard(event: schema.Notified) -> probing.CallReport:
-    return msgspec.convert(event.message, probing.CallReport)
+def _heard(event: Event) -> probing.CallReport | None:
+    if isinstance(event, schema.Notified) and isinstance(event.message, dict) and "asked" in event.message:
+        return msgspec.convert(event.message, probing.CallReport)
+    return None
 
 
 def _is_probing(config: DroneConfig) -> bool:
@@ -278,38 +251,38 @@ def _expected(config: DroneConfig, number: int) -> probing.CallReport:
 _AT_PLACE_M = 1.01  # a vehicle counts as arrived within 1 m, and figures are rounded
 _ROUNDED_S = 0.1
 _BRAKED_M = 1.5  # a vehicle that braked within this distance of a place counts as arrived there
-_MOST_CRASHES = 12  # that a flight is tested with
 
 
 def answers(history: History) -> Iterator[Breach]:
     """Judge by what the missions told their users that fly on before answers."""
-    on_rows = flies_rows(history.config)
+    on_rows = history.flies_rows
     if not _acts_later(history):
         return
     places = [waypoint.position for waypoint in waypoints(history.config.mission)]
-    yield from _done_twice(history.run.events)
-    if not position_jumps(history.config):
+    done = list(_done(history))
+    yield from _done_twice(done, history)
+    if not history.position_jumps:
         near_m = _BRAKED_M if on_rows else _AT_PLACE_M
-        yield from _done_elsewhere(history.run.events, places, near_m)
+        for event, action in done:
+            if ground_distance_m(event.at, places[action.done]) > near_m:
+                yield event, f"action {action.done} was done beside its waypoint"
         if not on_rows:
             yield from _flown_back_too_far(history.run.events, places)
     yield from _put_off(history)
     yield from _lost_in_a_crash(history)
-    for event in history.run.events:
-        if isinstance(event, schema.StayOrGo) and event.goes and event.waypoint == len(places) - 1:
-            yield event, "it flew on from the last waypoint"
+    for left in history.logged(schema.StayOrGo):
+        if left.goes and left.waypoint == len(places) - 1:
+            yield left, "it flew on from the last waypoint"
     if history.run.demand_map is not None:
-        yield from _miscounted(history.run.demand_map, history.run.events)
+        yield from _miscounted(history.run.demand_map, history)
     if history.run.result.completed:
-        done = sorted(action.done for _, action in _done(history.run.events))
-        keys = {call.waypoint: call.key for call in history.run.result.calls}
-        wanted = [
-            n
-            for n in range(len(places))
-            if demands_something(history.config.mission.program, n, keys.get(n, ""))
-        ]
-        if done != wanted:
-            yield None, f"actions {wanted} were demanded, and {done} done"
+        program, keys = history.config.mission.program, {}
+        for call in history.run.result.calls:
+            keys[call.waypoint] = call.key
+        wanted = [n for n in range(len(places)) if demands_something(program, n, keys.get(n, ""))]
+        acted = sorted(action.done for _, action in done)
+        if acted != wanted:
+            yield None, f"actions {wanted} were demanded, and {acted} done"
 
 
 def _acts_later(history: History) -> bool:
@@ -317,10 +290,10 @@ def _acts_later(history: History) -> bool:
     return history.config.mission.program.endswith((":look_later", "_on_the_move"))
 
 
-def _miscounted(known: DemandMap, events: Sequence[Event]) -> Iterator[Breach]:
+def _miscounted(known: DemandMap, history: History) -> Iterator[Breach]:
     """A mission that ends between the count and its event has one more answer in its map."""
-    taken = [event for event in events if isinstance(event, schema.AnswerTaken)]
-    waiting, open_ = _waiting_for_acts(events)
+    taken = list(history.logged(schema.AnswerTaken))
+    waiting, open_ = _waiting_for_acts(history.run.events)
     places = list(known.places())
     for what, count, logged in (
         ("answers", sum(place.answers for place in places), len(taken) + waiting),
@@ -344,26 +317,20 @@ def _waiting_for_acts(events: Sequence[Event]) -> tuple[int, int]:
     return sum(put_off.values()), len(put_off) - sum(put_off.values())
 
 
-def _done_elsewhere(events: Sequence[Event], places: Sequence[Position], near_m: float) -> Iterator[Breach]:
-    for event, action in _done(events):
-        if ground_distance_m(event.at, places[action.done]) > near_m:
-            yield event, f"action {action.done} was done beside its waypoint"
-
-
-def _done_twice(events: Sequence[Event]) -> Iterator[Breach]:
+def _done_twice(done: Sequence[tuple[Event, ActionReport]], history: History) -> Iterator[Breach]:
     told = set[int]()
-    for event, action in _done(events):
+    for event, action in done:
         if action.done in told:
             yield event, f"action {action.done} was done twice"
         told.add(action.done)
-    logged = [event.waypoint for event in events if isinstance(event, schema.Acted)]
+    logged = [event.waypoint for event in history.logged(schema.Acted)]
     if len(set(logged)) != len(logged):
         yield None, f"the log has an action twice: {logged}"
 
 
-def _done(events: Sequence[Event]) -> Iterator[tuple[schema.Notified, ActionReport]]:
-    for event in events:
-        if isinstance(event, schema.Notified) and isinstance(event.message, dict) and "done" in event.message:
+def _done(history: History) -> Iterator[tuple[schema.Notified, ActionReport]]:
+    for event in history.logged(schema.Notified):
+        if isinstance(event.message, dict) and "done" in event.message:
             yield event, msgspec.convert(event.message, ActionReport)
 
 
@@ -396,30 +363,19 @@ def _flown_back_too_far(events: Sequence[Event], places: Sequence[Position]) -> 
 
 def _lost_in_a_crash(history: History) -> Iterator[Breach]:
     """After a crash at any event, a waypoint without its answer or action must be visited again."""
-    events: Sequence[Event] = history.run.events
-    if history.run.result.completed:
-        events = [event for event in events if not isinstance(event, schema.MissionCompleted)]
-    moments = [
-        number
-        for number, event in enumerate(events)
-        if isinstance(
-            event, (schema.CallStarted, schema.SetOff, schema.AnswerTaken, schema.Notified, schema.Acted)
-        )
-    ]
+    kinds = schema.CallStarted, schema.SetOff, schema.AnswerTaken, schema.Notified, schema.Acted
     program = history.config.mission.program
     spots = range(len(waypoints(history.config.mission)))
     waited_for = {number for number in spots if is_waited_for(program, number)}
-    for number in moments[:: max(1, len(moments) // _MOST_CRASHES)]:
-        kept = events[:number]
-        acted = {event.waypoint for event in kept if isinstance(event, schema.Acted)}
-        settled = {
-            event.waypoint for event in kept if isinstance(event, schema.AnswerTaken) and not event.demanded
-        }
+    for event, kept in history.crashes(*kinds):
+        acted = {each.waypoint for each in kept if isinstance(each, schema.Acted)}
+        taken = [each for each in kept if isinstance(each, schema.AnswerTaken)]
+        settled = {answer.waypoint for answer in taken if not answer.demanded}
         done = waypoints_done(kept, history.config)
         for waypoint in done - acted - settled - waited_for:
-            yield events[number], f"killed before this, waypoint {waypoint} would not be visited again"
-        if flies_rows(history.config) and len(history.config.services) == 1:  # of two, one may be due there
+            yield event, f"killed before this, waypoint {waypoint} would not be visited again"
+        if history.flies_rows and len(history.config.services) == 1:  # of two, one may be due there
             for again in acted | settled:
                 if again not in done:
                     why = f"killed before this, waypoint {again} would be visited again for nothing"
-                    yield events[number], why
+                    yield event, why

@@ -13,7 +13,6 @@ import msgspec
 
 from upwash.config.drone import DroneConfig
 from upwash.config.reading import Document
-from upwash.lab.faults.history import asks_servers, calls_of, within_s
 from upwash.lab.faults.promises import Broken, History, Promise, broken_promises
 from upwash.lab.faults.worlds import SEEDS_PER_SCENARIO, World, configs, moment_of
 from upwash.lab.observer import Observation
@@ -54,9 +53,9 @@ def judge(seed: int, *, replay: bool = False) -> WorldVerdict:
         return WorldVerdict(seed, [Broken(Promise.AUTONOMY, seed, None, why)], 0, 0, (0.0, 0.0), math.inf)
     bounds_s = [
         (call.ended.delay_s, call.bound_s)
-        for run, config in zip(flown.runs, configs(flown.documents), strict=True)
-        if not asks_servers(config)  # else calls have the bound that the mission chose
-        for call in calls_of(run.events, within_s=within_s(config))
+        for history in map(History, configs(flown.documents), flown.runs)
+        if not history.asks_servers  # else calls have the bound that the mission chose
+        for call in history.calls
     ]
     return WorldVerdict(
         seed,

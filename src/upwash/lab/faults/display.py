@@ -1,16 +1,14 @@
-"""What a person sees of worlds being flown: progress, and for a broken promise how to see it again."""
+"""What a person sees of worlds that were flown: the broken promises, and how to see each again."""
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import msgspec
 from rich.console import Console
-from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 from rich.text import Text
 
 from upwash.lab.faults.campaign import FlownWorld, WorldVerdict, fly_world, judge
@@ -26,7 +24,6 @@ from upwash.support.text import plural
 _CHUNK = 20  # worlds that a process flies together
 _REPLAYED_EVERY = 20  # every 20th world is flown again and must leave the same log
 _FAILURES_SHOWN = 20
-_LINE_EVERY_S = 60.0
 
 
 class Summary(msgspec.Struct):
@@ -74,16 +71,11 @@ def show_chaos(
         out.parent.mkdir(parents=True, exist_ok=True)  # before the hours of flying
     console, summary, began_s = Console(), Summary(), time.monotonic()
     chunks = [seeds[first : first + _CHUNK] for first in range(0, len(seeds), _CHUNK)]
-    with (
-        _shown_progress(len(seeds), console) as show,
-        work("worlds", len(seeds)) as flown,
-        in_processes(judge_all, chunks, workers=workers) as done,
-    ):
+    with work("worlds", len(seeds)) as flown, in_processes(judge_all, chunks, workers=workers) as done:
         for verdicts in done:
             for verdict in verdicts:
                 _show_broken(verdict.broken, console, shown=len(summary.broken))
                 summary.add(verdict)
-            show(summary.worlds)
             flown(len(verdicts))
             if minutes is not None and time.monotonic() - began_s > 60 * minutes:
                 break
@@ -92,24 +84,6 @@ def show_chaos(
     if out is not None:
         write_file(out, msgspec.json.format(msgspec.json.encode(summary)) + b"\n")
     return not summary.broken
-
-
-@contextlib.contextmanager
-def _shown_progress(worlds: int, console: Console) -> Iterator[Callable[[int], None]]:
-    """Show how many worlds are done: by a bar on a terminal, elsewhere by a line each minute."""
-    columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
-    said_s = time.monotonic()
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        bar = progress.add_task("worlds", total=worlds)
-
-        def show(done: int) -> None:
-            nonlocal said_s
-            progress.update(bar, completed=done)
-            if not console.is_terminal and time.monotonic() - said_s > _LINE_EVERY_S:
-                said_s = time.monotonic()
-                console.print(f"{done:,} of {_counted(worlds, 'world')}", highlight=False)
-
-        yield show
 
 
 def replay(seed: int, log: Path | None) -> bool:

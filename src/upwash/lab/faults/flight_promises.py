@@ -7,19 +7,7 @@ from collections.abc import Iterator
 from upwash.config.places import waypoints
 from upwash.core.vehicle.control import Owner
 from upwash.eventlog import schema
-from upwash.lab.faults.history import (
-    ROUNDING_S,
-    SLACK_S,
-    Breach,
-    History,
-    asks_servers,
-    calls_of,
-    deadline_of,
-    draws_objects,
-    flies_rows,
-    may_be_cut_short,
-    within_s,
-)
+from upwash.lab.faults.history import ROUNDING_S, SLACK_S, Breach, History, calls_of, deadline_of
 from upwash.lab.observer import Observation
 from upwash.support.text import counted
 
@@ -29,28 +17,27 @@ _FAREWELL_S = 0.5  # a drone says goodbye to its last server
 def autonomy(history: History) -> Iterator[Breach]:
     """Every waypoint in order, its calls answered; an autopilot that failed may cut that short."""
     events, run = history.run.events, history.run
-    for event in events:
-        if isinstance(event, schema.OffloadingFailed):
-            yield event, f"offloading ended for the rest of the flight: {event.why}"
-    arrivals = (event.waypoint for event in events if isinstance(event, schema.Arrived))
+    for failed in history.logged(schema.OffloadingFailed):
+        yield failed, f"offloading ended for the rest of the flight: {failed.why}"
+    arrivals = (event.waypoint for event in history.logged(schema.Arrived))
     arrived = list(dict.fromkeys(arrivals))  # it may come back to one
-    if flies_rows(history.config) or asks_servers(history.config) or draws_objects(history.config):
+    if history.flies_rows or history.asks_servers or history.draws_objects:
         arrived = [waypoint for waypoint in arrived if waypoint is not None]  # from a detour, or off the row
     planned = [waypoint.index for waypoint in waypoints(history.config.mission)]
     if arrived != planned[: len(arrived)]:
         yield None, f"arrived at waypoints {arrived} instead of {planned}"
-    if may_be_cut_short(history):
+    if history.may_be_cut_short:
         return
     if run.failure or not run.result.completed:
         yield (events[-1] if events else None), f"the mission was not completed: {run.failure}"
     elif len(arrived) < len(planned):
         yield None, f"arrived at {len(arrived)} of {counted(len(planned), 'waypoint')}"
-    if history.alone is not None and not asks_servers(history.config):
+    if history.alone is not None and not history.asks_servers:
         made, wanted = (
             [(call.waypoint, call.asked or call.operation) for call in flown.result.calls]
             for flown in (run, history.alone)
         )
-        if flies_rows(history.config):
+        if history.flies_rows:
             made, wanted = sorted(made, key=str), sorted(wanted, key=str)
         if made != wanted:
             yield (
@@ -66,12 +53,11 @@ def no_harm(history: History) -> Iterator[Breach]:
     before answers are not judged: their losses depend on when answers come.
     """
     yield from _hedged_too_much(history)
-    config = history.config
-    if config.policy.stay_or_go != "stay" or flies_rows(config) or within_s(config) or draws_objects(config):
+    if history.config.policy.stay_or_go != "stay" or history.flies_rows or history.draws_objects:
         return
-    if history.alone is None or history.run.failure or history.alone.failure:
+    if history.within_s or history.alone is None or history.run.failure or history.alone.failure:
         return
-    calls, alone = list(calls_of(history.run.events)), list(calls_of(history.alone.events))
+    calls, alone = history.calls, list(calls_of(history.alone.events))
     luck_s = sum(
         ours.ended.onboard_s - theirs.ended.onboard_s
         for ours, theirs in zip(calls, alone, strict=False)
@@ -88,7 +74,7 @@ def _hedged_too_much(history: History) -> Iterator[Breach]:
     """A hedge starts only while wasted computing is within its share of the time of all calls."""
     hedge = history.config.policy.hedging
     calls_s = extra_s = 0.0
-    for call in calls_of(history.run.events):
+    for call in history.calls:
         if not call.decisions:  # it runs once, and on the drone
             continue
         decided = call.sent or call.decisions[-1]
@@ -129,7 +115,7 @@ def vehicle_first(history: History) -> Iterator[Breach]:
     for over in history.own("flight_over"):
         if schema.Landed in events and over.altitude_m > 0:
             yield events[schema.Landed], f"the vehicle is {over.altitude_m:.1f} m up"
-    safe_ends = [event for event in history.run.events if isinstance(event, schema.SafeEnd)]
+    safe_ends = list(history.logged(schema.SafeEnd))
     if not history.run.failure or schema.Armed not in events or (schema.Landed in events and not safe_ends):
         return
     last = history.run.events[-1]
@@ -204,8 +190,8 @@ def arrived_truly(history: History) -> Iterator[Breach]:
 def named_truly(history: History) -> Iterator[Breach]:
     """The log names as an owner only a party that has taken the vehicle before."""
     taken = list(history.own("taken", "taken_unseen"))
-    for event in history.run.events:
-        if isinstance(event, schema.ControlChanged) and event.owner in _NAMED_AFTER:
+    for event in history.logged(schema.ControlChanged):
+        if event.owner in _NAMED_AFTER:
             before = {fact.by for fact in taken if fact.t <= event.t + ROUNDING_S}
             if before.isdisjoint(_NAMED_AFTER[event.owner]):
                 why = f"it is said to be the {event.owner}'s, and was taken by {sorted(before) or 'nobody'}"
@@ -213,4 +199,4 @@ def named_truly(history: History) -> Iterator[Breach]:
 
 
 def _owners(history: History) -> list[Owner]:
-    return [event.owner for event in history.run.events if isinstance(event, schema.ControlChanged)]
+    return [event.owner for event in history.logged(schema.ControlChanged)]

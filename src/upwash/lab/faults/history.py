@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from upwash.config.checks import only_on_servers
 from upwash.config.drone import DroneConfig
@@ -16,13 +18,15 @@ from upwash.lab.run import Run
 
 Fact = Event | Observation
 Breach = tuple[Fact | None, str]  # the bad event or None, and what is bad about it
+Logged = TypeVar("Logged", bound=Event)
 SLACK_S = 0.1
 ROUNDING_S = 2e-6  # of the times in a log
 _SOON_BACK_S = 40.0  # a vehicle whose position jumped, and well within the patience with a leg
 ANSWER_S = 5.0  # the timeout of a request to a daemon
+_MOST_CRASHES = 12  # that a flight is tested with
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class History:
     """What is known of one flight after its end.
 
@@ -38,6 +42,69 @@ class History:
     def own(self, *names: str) -> Iterator[Observation]:
         """What the observer saw of this drone, of those names."""
         return (fact for fact in self.seen if fact.event in names and fact.drone == self.config.name)
+
+    def logged(self, *kinds: type[Logged]) -> Iterator[Logged]:
+        """The events of those kinds in the drone's log."""
+        return (event for event in self.run.events if isinstance(event, kinds))
+
+    @functools.cached_property
+    def calls(self) -> list[FlownCall]:
+        """The calls in the drone's log, in order."""
+        return list(calls_of(self.run.events, within_s=self.within_s))
+
+    def crashes(self, *kinds: type[Event]) -> Iterator[tuple[Event, list[Event]]]:
+        """Some events of those kinds, each with the events before it: the log of a drone that is killed then."""
+        events = [event for event in self.run.events if not isinstance(event, schema.MissionCompleted)]
+        moments = [number for number, event in enumerate(events) if isinstance(event, kinds)]
+        for number in moments[:: max(1, len(moments) // _MOST_CRASHES)]:
+            yield events[number], events[:number]
+
+    @property
+    def flies_rows(self) -> bool:
+        """Whether the drone flies rows without stopping, with several answers open."""
+        return self.config.mission.photos is not None
+
+    @property
+    def within_s(self) -> float:
+        """How long after its call a better answer counts; 0 where calls have one answer."""
+        twice = (service.two_answers for service in self.config.services)
+        return max((answers.within_s for answers in twice if answers), default=0.0)
+
+    @property
+    def asks_servers(self) -> bool:
+        """Whether only servers run the mission's service."""
+        return any(map(only_on_servers, self.config.services))
+
+    @property
+    def draws_objects(self) -> bool:
+        """Whether the mission acts on objects, and leaves its way for them."""
+        return self.config.event is not None and bool(self.config.event.objects)
+
+    @property
+    def position_jumps(self) -> bool:
+        """Whether a log of this world may not say where the drone truly is."""
+        return any(fault.kind == "jump" for fault in self.config.faults)
+
+    @property
+    def may_be_cut_short(self) -> bool:
+        """Whether the autopilot fails or the battery may end in this world, so that the mission may end early."""
+        if self.config.mission.reserve_s is not None:
+            return True
+        faults = (fault for fault in self.config.faults if fault.target == "autopilot")
+        return any(not self._is_overcome(fault) for fault in faults)
+
+    def _is_overcome(self, fault: FaultConfig) -> bool:
+        """Whether the mission continues after the fault: no leg may exceed its patience."""
+        match fault.kind:
+            case "slow" | "home" | "impostor" | "hovers" | "rally":
+                return True
+            case "diverted" | "restart":  # of a vehicle that stands
+                return not any(self.own("taken"))
+            case "jump":
+                east_m, north_m, _ = fault.moved_m
+                to_and_fro_s = 2 * math.hypot(east_m, north_m) / self.config.mission.ground_speed_m_s
+                return fault.to_s - fault.from_s + to_and_fro_s < _SOON_BACK_S
+        return False
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,75 +165,25 @@ def deadline_of(decided: schema.Decided) -> float:
     return decided.deadline_s
 
 
-def calls_of(events: Sequence[Event], *, within_s: float = 0.0) -> Iterator[FlownCall]:
+def calls_of(events: Iterable[Event], *, within_s: float = 0.0) -> Iterator[FlownCall]:
     """The calls of an event log, in order; their better answers count `within_s`."""
     decisions: dict[int | None, list[schema.Decided]] = {}  # by waypoint, of several open calls
     hedged: dict[int | None, schema.Hedged] = {}
     seconded: dict[int | None, schema.Seconded] = {}
     queued: dict[int | None, schema.RemoteQueued] = {}
     for event in events:
-        if isinstance(event, schema.Decided):
-            decisions.setdefault(event.waypoint, []).append(event)
-        elif isinstance(event, schema.Hedged):
-            hedged[event.waypoint] = event
-        elif isinstance(event, schema.Seconded):
-            seconded[event.waypoint] = event
-        elif isinstance(event, schema.RemoteQueued):
-            queued.setdefault(event.waypoint, event)  # a later one is of a server beside the drone
-        elif isinstance(event, schema.Call):
-            call = event.waypoint
-            decided = tuple(decisions.pop(call, ()))
-            found = hedged.pop(call, None), seconded.pop(call, None), queued.pop(call, None)
-            yield FlownCall(decided, event, *found, within_s)
-
-
-def may_be_cut_short(history: History) -> bool:
-    """Whether the autopilot fails or the battery may end in this world, so that the mission may end early."""
-    if history.config.mission.reserve_s is not None:
-        return True
-    faults = (fault for fault in history.config.faults if fault.target == "autopilot")
-    return any(not _is_overcome(fault, history) for fault in faults)
-
-
-def flies_rows(config: DroneConfig) -> bool:
-    """Whether the drone flies rows without stopping, with several answers open."""
-    return config.mission.photos is not None
-
-
-def within_s(config: DroneConfig) -> float:
-    """How long after its call a better answer counts; 0 where calls have one answer."""
-    return max(
-        (service.two_answers.within_s for service in config.services if service.two_answers), default=0.0
-    )
-
-
-def asks_servers(config: DroneConfig) -> bool:
-    """Whether only servers run the mission's service."""
-    return any(map(only_on_servers, config.services))
-
-
-def draws_objects(config: DroneConfig) -> bool:
-    """Whether the mission acts on objects, and leaves its way for them."""
-    return config.event is not None and bool(config.event.objects)
-
-
-def position_jumps(config: DroneConfig) -> bool:
-    """Whether a log of this world may not say where the drone truly is."""
-    return any(fault.kind == "jump" for fault in config.faults)
-
-
-def _is_overcome(fault: FaultConfig, history: History) -> bool:
-    """Whether the mission continues after the fault: no leg may exceed its patience."""
-    match fault.kind:
-        case "slow" | "home" | "impostor" | "hovers" | "rally":
-            return True
-        case "diverted" | "restart":  # of a vehicle that stands
-            return not any(history.own("taken"))
-        case "jump":
-            east_m, north_m, _ = fault.moved_m
-            to_and_fro_s = 2 * math.hypot(east_m, north_m) / history.config.mission.ground_speed_m_s
-            return fault.to_s - fault.from_s + to_and_fro_s < _SOON_BACK_S
-    return False
+        match event:
+            case schema.Decided():
+                decisions.setdefault(event.waypoint, []).append(event)
+            case schema.Hedged():
+                hedged[event.waypoint] = event
+            case schema.Seconded():
+                seconded[event.waypoint] = event
+            case schema.RemoteQueued():
+                queued.setdefault(event.waypoint, event)  # a later one is of a server beside the drone
+            case schema.Call(waypoint=call):
+                found = hedged.pop(call, None), seconded.pop(call, None), queued.pop(call, None)
+                yield FlownCall(tuple(decisions.pop(call, ())), event, *found, within_s)
 
 
 def service_of(

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.vehicle.control import Owner
 from upwash.eventlog import schema
-from upwash.lab.faults.history import Breach, History, position_jumps
+from upwash.lab.faults.history import Breach, History
 
 _NEAR_M = 5.0
 _ROUNDING_M = 0.2
@@ -21,7 +21,7 @@ def landings(history: History) -> Iterator[Breach]:
     judged if the safe end is a landing on the spot, or if the battery is too small from the take-off on.
     """
     faults = [fault for fault in history.config.faults if fault.target == "autopilot"]
-    if any(fault.kind not in _TO_ALTER_RETURNS for fault in faults) or position_jumps(history.config):
+    if any(fault.kind not in _TO_ALTER_RETURNS for fault in faults) or history.position_jumps:
         return
     owner, landed, returns = Owner.NOBODY, None, None
     for event in history.run.events:
@@ -39,7 +39,7 @@ def landings(history: History) -> Iterator[Breach]:
 
 
 def _placed_wrong(landed: schema.Landed, history: History) -> Iterator[Breach]:
-    start = _start(history)
+    start = next((event.home for event in history.logged(schema.LimitsRead)), None)  # before arming
     points = [fault.moved_m for fault in history.config.faults if fault.kind == "rally"]
     places = {"home": start} | {
         f"rally point {number}": Position(*moved_m[:2]) for number, moved_m in enumerate(points, 1)
@@ -47,37 +47,26 @@ def _placed_wrong(landed: schema.Landed, history: History) -> Iterator[Breach]:
     if landed.position is None or start is None:
         yield landed, "it does not say where the vehicle landed"
         return
-    near = [
-        name
-        for name, place in places.items()
-        if place and ground_distance_m(landed.position, place) <= _NEAR_M
-    ]
+    away_m = {name: ground_distance_m(landed.position, place) for name, place in places.items() if place}
+    near = [name for name, at_m in away_m.items() if at_m <= _NEAR_M]
     if landed.at not in (near or [""]):
         yield landed, f"the vehicle is said to have landed at {landed.at or 'no place'}, and stands at {near}"
-    away_m = ground_distance_m(landed.position, start)
-    if landed.from_home_m is None or abs(landed.from_home_m - away_m) > _ROUNDING_M:
-        yield landed, f"the vehicle landed {away_m:.1f} m from home, not {landed.from_home_m}"
+    if landed.from_home_m is None or abs(landed.from_home_m - away_m["home"]) > _ROUNDING_M:
+        yield landed, f"the vehicle landed {away_m['home']:.1f} m from home, not {landed.from_home_m}"
     for over in history.own("flight_over"):
         if over.position is not None and ground_distance_m(over.position, landed.position) > _NEAR_M:
             yield landed, "the vehicle stands elsewhere"
 
 
-def _start(history: History) -> Position | None:
-    """The vehicle's home from before arming."""
-    return next((event.home for event in history.run.events if isinstance(event, schema.LimitsRead)), None)
-
-
 def _below_reserve(landed: schema.Landed, history: History) -> Iterator[Breach]:
     endurance_s, reserve_s = history.config.vehicle.endurance_s, history.config.mission.reserve_s
-    armed = next((event for event in history.run.events if isinstance(event, schema.Armed)), None)
+    armed = next(history.logged(schema.Armed), None)
     lands = history.config.autopilot.on_failure == "land"
-    first = next((event for event in history.run.events if isinstance(event, schema.Energy)), None)
+    first = next(history.logged(schema.Energy), None)
     too_small = first is not None and first.margin_percent < 0
     if endurance_s is None or reserve_s is None or armed is None or lands or too_small:
         return
     left_s = endurance_s - (landed.t - armed.t)
     if left_s < reserve_s:
-        yield (
-            landed,
-            f"the battery lasts {left_s:.1f} s more at touchdown, less than the reserve of {reserve_s:g} s",
-        )
+        why = f"the battery lasts {left_s:.1f} s more at touchdown, less than the reserve of {reserve_s:g} s"
+        yield landed, why

@@ -7,7 +7,7 @@ log; some numbers make the service raise an exception of its own.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -103,10 +103,7 @@ def ask_servers(drone: Drone, mode: Mode) -> None:
     """Asks servers about a number at each waypoint, and goes on; waits for some calls, and gives some a deadline."""
     patient = drone.service(Surveyor, unanswered=None)
     hasty = drone.service(Surveyor, unanswered=None, within_s=HASTY_S)
-    drone.autopilot.arm()
-    drone.autopilot.takeoff(drone.altitude_m)
-    for number, waypoint in enumerate(drone.plan):
-        drone.autopilot.goto(waypoint)
+    for number, waypoint in visits(drone):
         drone.camera.take_photo()
         surveyor = hasty if is_hasty(number) else patient
         if number % 4 == 3:
@@ -115,6 +112,15 @@ def ask_servers(drone: Drone, mode: Mode) -> None:
             continue
         visit = _Visit(drone, waypoint, number, ask_servers.__name__)
         drone.stay_or_go(drone.start(surveyor.survey, number), visit.act, demands=visit.demands)
+
+
+def visits(drone: Drone) -> Iterator[tuple[int, Waypoint]]:
+    """Flies the plan; each waypoint as the drone arrives there, by its number in the order of the flight."""
+    drone.autopilot.arm()
+    drone.autopilot.takeoff(drone.altitude_m)
+    for number, waypoint in enumerate(drone.plan):
+        drone.autopilot.goto(waypoint)
+        yield number, waypoint
     drone.end_flight()
     drone.autopilot.disarm()
 
@@ -140,28 +146,19 @@ def look_and_read(drone: Drone, mode: Mode) -> None:
     _survey(drone, ask, calls=2)
 
 
-def look_later(drone: Drone, mode: Mode) -> None:
+def look_later(drone: Drone, mode: Mode, *, program: str = "look_later") -> None:
     """Has one number looked at, at each waypoint, and may fly on meanwhile; some answers demand an action there."""
-    _look_later(drone, mode, program=look_later.__name__)
-
-
-def look_twice_later(drone: Drone, mode: Mode) -> None:
-    """The same with two answers, whose demands differ."""
-    _look_later(drone, mode, program=look_twice_later.__name__)
-
-
-def _look_later(drone: Drone, mode: Mode, *, program: str) -> None:
     spotter = drone.service(Spotter)
-    drone.autopilot.arm()
-    drone.autopilot.takeoff(drone.altitude_m)
-    for number, waypoint in enumerate(drone.plan):
-        drone.autopilot.goto(waypoint)
+    for number, waypoint in visits(drone):
         drone.camera.take_photo()
         visit = _Visit(drone, waypoint, number, program)
         pending = drone.start(spotter.look, number, mode)
         drone.stay_or_go(pending, visit.act, demands=visit.demands, failed=visit.fail)
-    drone.end_flight()
-    drone.autopilot.disarm()
+
+
+def look_twice_later(drone: Drone, mode: Mode) -> None:
+    """The same with two answers, whose demands differ."""
+    look_later(drone, mode, program=look_twice_later.__name__)
 
 
 def look_on_the_move(drone: Drone, mode: Mode) -> None:
@@ -185,10 +182,7 @@ def _look_on_the_move(drone: Drone, mode: Mode, *, gauge: Gauge | None, program:
     def ask(number: int) -> object:
         return gauge.read(number) if gauge is not None and number % 2 else spotter.look(number, mode)
 
-    drone.autopilot.arm()
-    drone.autopilot.takeoff(drone.altitude_m)
-    for number, waypoint in enumerate(drone.plan):
-        drone.autopilot.goto(waypoint)
+    for number, waypoint in visits(drone):
         if number % 7 == 5:
             drone.autopilot.hover(1.0)
         drone.camera.take_photo()
@@ -204,8 +198,6 @@ def _look_on_the_move(drone: Drone, mode: Mode, *, gauge: Gauge | None, program:
         drone.stay_or_go(pending, visit.act, demands=visit.demands, failed=visit.fail)
         if number % 11 == 8:
             drone.autopilot.goto(Position(5.0, 5.0, drone.altitude_m))
-    drone.end_flight()
-    drone.autopilot.disarm()
 
 
 def is_waited_for(program: str, number: int) -> bool:
@@ -254,7 +246,7 @@ class _Visit:
         if not isinstance(error, (Blurred, ValueError)):
             raise error
         self._tell(CallReport(asked=self.number, raised=repr(error)))
-        self.drone.user.notify(ActionReport(done=self.number), at=self.drone.autopilot.position)
+        self.act(None)
 
     def _tell(self, heard: CallReport) -> None:
         self.drone.user.notify(heard, at=self.waypoint)
@@ -271,15 +263,10 @@ def expected(program: str, mode: Mode, number: int) -> CallReport:
 
 def _survey(drone: Drone, ask: Callable[[int], object], *, calls: int) -> None:
     numbers = itertools.count()
-    drone.autopilot.arm()
-    drone.autopilot.takeoff(drone.altitude_m)
-    for waypoint in drone.plan:
-        drone.autopilot.goto(waypoint)
+    for _, waypoint in visits(drone):
         drone.camera.take_photo()
         for _ in range(calls):
             _tell(drone, waypoint, next(numbers), ask)
-    drone.end_flight()
-    drone.autopilot.disarm()
 
 
 def _tell(drone: Drone, waypoint: Waypoint, number: int, ask: Callable[[int], object]) -> None:

@@ -9,7 +9,7 @@ from upwash.config.world import ObjectConfig
 from upwash.core.geo import Position, ground_distance_m
 from upwash.eventlog import schema
 from upwash.eventlog.progress import CallPlaces
-from upwash.lab.faults.history import Breach, History, draws_objects, position_jumps
+from upwash.lab.faults.history import Breach, History
 from upwash.report.findings import Finder
 
 _NEAR_M = 6.0  # drawn objects with one label are twice as far apart
@@ -18,19 +18,15 @@ _LEGS = 1  # from an answer until the user gets it: a flight to a waypoint may b
 
 def one_act_each(history: History) -> Iterator[Breach]:
     """Each object in the answers has one act, at its place, and the user gets each answer when it comes."""
-    if not draws_objects(history.config):
+    if not history.draws_objects:
         return
     yield from _told_late(history)
-    if position_jumps(history.config):
+    if history.position_jumps:
         return
     assert history.config.event is not None  # noqa: S101 - it draws objects
     drawn, acted = history.config.event.objects, Counter[int]()
-    for event in history.run.events:
-        if (
-            isinstance(event, schema.Notified)
-            and isinstance(event.message, dict)
-            and "acted" in event.message
-        ):
+    for event in history.logged(schema.Notified):
+        if isinstance(event.message, dict) and "acted" in event.message:
             number = _nearest(drawn, str(event.message["acted"]), event.at)
             if number is None:
                 yield event, f"an action on {event.message['acted']} was done where none is"
@@ -45,7 +41,6 @@ def one_act_each(history: History) -> Iterator[Breach]:
 
 
 def _found(events: Sequence[schema.Event], drawn: Sequence[ObjectConfig]) -> set[int]:
-    """The drawn objects that the answers show."""
     finder = Finder()
     findings = [finding for event in events for finding in finder.take(event) if finding.own is not None]
     numbers = {_nearest(drawn, finding.what, finding.place) for finding in findings}
@@ -53,7 +48,6 @@ def _found(events: Sequence[schema.Event], drawn: Sequence[ObjectConfig]) -> set
 
 
 def _nearest(drawn: Sequence[ObjectConfig], label: str, place: Position) -> int | None:
-    """The number of the drawn object with that label near the place."""
     away_m = {
         number: ground_distance_m(place, Position(each.east_m, each.north_m))
         for number, each in enumerate(drawn)
@@ -75,7 +69,5 @@ def _told_late(history: History) -> Iterator[Breach]:
                 legs = {waypoint: flown + 1 for waypoint, flown in legs.items()}
             case schema.Notified(message={"told": int(waypoint)}):
                 if legs.pop(waypoint, 0) > _LEGS:
-                    yield (
-                        event,
-                        f"the answer of waypoint {waypoint} was told {_LEGS + 1} waypoints after it came",
-                    )
+                    why = f"the answer of waypoint {waypoint} was told {_LEGS + 1} waypoints after it came"
+                    yield event, why

@@ -11,16 +11,7 @@ from upwash.core.knowledge.servers import State
 from upwash.core.operation import ON_DRONE, name_of
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
-from upwash.lab.faults.history import (
-    ROUNDING_S,
-    Breach,
-    FlownCall,
-    History,
-    calls_of,
-    flies_rows,
-    position_jumps,
-    within_s,
-)
+from upwash.lab.faults.history import ROUNDING_S, Breach, FlownCall, History
 
 _AT_SPOT_M = 1.0
 _BESIDE_M = 5.0  # as a vehicle whose position jumped to and fro may pass a spot
@@ -29,7 +20,7 @@ _LATE_S = 0.5  # of flight, after which a spot that was missed is flown back to
 
 def on_the_move(history: History) -> Iterator[Breach]:
     """Photos at their spots, few enough open, one call at a place, in line, nothing open on the way home."""
-    if not flies_rows(history.config):
+    if not history.flies_rows:
         return
     led_away = any(fault.kind == "diverted" for fault in history.config.faults)  # perhaps in a silence
     if not led_away:
@@ -51,7 +42,7 @@ def _photos_elsewhere(history: History) -> Iterator[Breach]:
     unheard_s = next((fact.t for fact in history.own("jumped_unheard")), math.inf)
     spots = {waypoint.index: waypoint for waypoint in waypoints(config.mission)}
     late_m = max(_AT_SPOT_M, _LATE_S * config.mission.ground_speed_m_s) + 0.1
-    near_m = _BESIDE_M if position_jumps(config) else late_m
+    near_m = _BESIDE_M if history.position_jumps else late_m
     here: int | None = None
     jumped = False
     photos = set[int]()
@@ -89,13 +80,11 @@ def _too_many_open(history: History) -> Iterator[Breach]:
 def _two_at_a_place(history: History) -> Iterator[Breach]:
     """From the decision for a place until the answer, no other call is decided for it."""
     until_s: dict[str, float] = {}
-    placed = [part for call in calls_of(history.run.events) for part in _placed(call)]
+    placed = [part for call in history.calls for part in _placed(call)]
     for decided, place, to_s in sorted(placed, key=lambda part: part[0].t):
         if decided.t < until_s.get(place, 0.0) - ROUNDING_S:
-            yield (
-                decided,
-                f"this was decided for {place}, which had an earlier call until {until_s[place]:.3f} s",
-            )
+            why = f"this was decided for {place}, which had an earlier call until {until_s[place]:.3f} s"
+            yield decided, why
         until_s[place] = max(until_s.get(place, 0.0), to_s)
 
 
@@ -134,7 +123,7 @@ def _out_of_line(history: History) -> Iterator[Breach]:
     """
     photos = history.config.mission.photos
     assert photos is not None  # noqa: S101 - it flies rows
-    urgent = _waits_for(history.run.events)
+    urgent = _waits_for(history)
     in_line: dict[int | None, schema.CallStarted] = {}
     for event in history.run.events:
         if isinstance(event, schema.CallStarted):
@@ -147,7 +136,7 @@ def _out_of_line(history: History) -> Iterator[Breach]:
                 if other.t < event.t - ROUNDING_S
                 and (other.t < begun.t if photos.order == "oldest" else other.t > begun.t)
             ]
-            if not _may_be_decided(event, begun, before, two=bool(within_s(history.config))):
+            if not _may_be_decided(event, begun, before, two=bool(history.within_s)):
                 where = f"{len(before)} calls before it: {list(in_line)}"
                 yield event, f"waypoint {event.waypoint} was not the {photos.order} in line, with {where}"
             for waypoint, from_s, to_s in urgent:
@@ -184,12 +173,12 @@ def _is_beside(event: schema.Decided) -> bool:
     return event.decision == "local" and event.state == State.READY
 
 
-def _waits_for(events: Sequence[Event]) -> list[tuple[int | None, float, float]]:
+def _waits_for(history: History) -> list[tuple[int | None, float, float]]:
     """For each call that the mission waited for: its waypoint, its begin, and its decision, in seconds."""
-    started = {event.waypoint for event in events if isinstance(event, schema.CallStarted)}
+    started = {event.waypoint for event in history.logged(schema.CallStarted)}
     return [
         (call.ended.waypoint, call.ended.at_s, call.decisions[0].t)
-        for call in calls_of(events)
+        for call in history.calls
         if call.ended.waypoint not in started and call.decisions
     ]
 
@@ -197,13 +186,10 @@ def _waits_for(events: Sequence[Event]) -> list[tuple[int | None, float, float]]
 def _sought_too_often(history: History) -> Iterator[Breach]:
     """A drone that rests flies to the range of each server once at most, until it takes another photo."""
     servers, sought = len(history.config.servers), 0
-    for event in history.run.events:
-        if isinstance(event, schema.CallStarted):
-            sought = 0
-        elif isinstance(event, schema.SoughtAnswers):
-            sought += 1
-            if sought > servers:
-                yield event, f"this is place {sought} that it flew to for answers, with {servers} servers"
+    for event in history.logged(schema.CallStarted, schema.SoughtAnswers):
+        sought = sought + 1 if isinstance(event, schema.SoughtAnswers) else 0
+        if sought > servers:
+            yield event, f"this is place {sought} that it flew to for answers, with {servers} servers"
 
 
 def _home_too_early(events: Sequence[Event]) -> Iterator[Breach]:

@@ -9,7 +9,7 @@ import msgspec
 from upwash.core.geo import Waypoint
 from upwash.drone.api import Drone
 from upwash.drone.objects import FoundObject
-from upwash.lab.faults.mission import Mode
+from upwash.lab.faults.mission import Mode, visits
 from upwash.rpc.service import service
 from upwash.sim.drawn import ShownObject, shown_in
 
@@ -41,14 +41,9 @@ class Spotter:
 def look_for_objects(drone: Drone, mode: Mode) -> None:
     """Has a photo looked at, at each waypoint, and acts on each object once."""
     spotter = drone.service(Spotter)
-    drone.autopilot.arm()
-    drone.autopilot.takeoff(drone.altitude_m)
-    for waypoint in drone.plan:
-        drone.autopilot.goto(waypoint)
+    for _, waypoint in visits(drone):
         pending = drone.start(spotter.look, drone.camera.take_photo(), mode)
         drone.act_once(pending, partial(_act, drone), tell=partial(_tell, drone, waypoint))
-    drone.end_flight()
-    drone.autopilot.disarm()
 
 
 def _tell(drone: Drone, waypoint: Waypoint, found: list[ShownObject]) -> None:

@@ -14,7 +14,7 @@ from upwash.core.knowledge.servers import SELECTED, TRANSITIONS, State, Trigger
 from upwash.core.selection.recovery import REST_S, Probing
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
-from upwash.lab.faults.history import ANSWER_S, ROUNDING_S, Breach, History, flies_rows, position_jumps
+from upwash.lab.faults.history import ANSWER_S, ROUNDING_S, Breach, History
 from upwash.lab.observer import Observation
 from upwash.rpc.protocol import AVAILABILITY, DENY, HEALTH_CHECK, LEAVE
 
@@ -30,9 +30,7 @@ def one_selection(history: History) -> Iterator[Breach]:
     yield from _selected_too_often(history)
     radios = history.config.network.radios
     states: dict[str, State] = {}
-    for event in history.run.events:
-        if not isinstance(event, schema.ServerStep):
-            continue
+    for event in history.logged(schema.ServerStep):
         name, before, after = event.server, event.before, event.after
         if states.get(name, State.AVL) is not before:
             yield event, f"{name} was {states.get(name, State.AVL)} before"
@@ -52,7 +50,7 @@ def one_selection(history: History) -> Iterator[Breach]:
 
 def _selected_too_often(history: History) -> Iterator[Breach]:
     """Servers that are selected in turn, without end, as each is found stopped."""
-    selected = [event for event in history.run.events if isinstance(event, schema.Selected)]
+    selected = list(history.logged(schema.Selected))
     for before, event in zip(selected, selected[_MOST_SELECTED:], strict=False):
         if event.t - before.t < _SELECTED_IN_S - ROUNDING_S:
             yield event, f"{_MOST_SELECTED} others were selected in the {event.t - before.t:.3f} s before"
@@ -79,11 +77,7 @@ def _used_out_of_turn(history: History) -> Iterator[Breach]:
 def in_range(history: History) -> Iterator[Breach]:
     """No call is sent from outside the server's range."""
     areas = true_areas(history.config)
-    remote = (
-        event
-        for event in history.run.events
-        if isinstance(event, schema.Decided) and event.decision == "remote"
-    )
+    remote = (event for event in history.logged(schema.Decided) if event.decision == "remote")
     sent = (call for call in history.own("sent") if call.path.startswith(_SERVICE_PATH))
     calls: list[schema.Decided | Observation] = [*remote, *sent]
     for call in calls:
@@ -93,8 +87,8 @@ def in_range(history: History) -> Iterator[Breach]:
 
 def respect(history: History) -> Iterator[Breach]:
     """A blacklisted server gets only the farewell and probes; calls go to servers that are READY."""
-    for event in history.run.events:
-        if isinstance(event, schema.Decided) and event.decision == "remote" and event.state != State.READY:
+    for event in history.logged(schema.Decided):
+        if event.decision == "remote" and event.state != State.READY:
             yield event, f"{event.selected} is {event.state}"
     if history.config.policy.probing is not None:
         yield from _probed_too_much(history)
@@ -160,9 +154,7 @@ def spells_of(history: History) -> dict[str, list[Spell]]:
     probing = history.config.policy.probing or Probing()
     spells: dict[str, list[Spell]] = {}
     failures: dict[str, tuple[int, float]] = {}  # how many in a row, and when the last one was
-    for event in history.run.events:
-        if not isinstance(event, schema.ServerStep):
-            continue
+    for event in history.logged(schema.ServerStep):
         server, now_s = event.server, event.t
         if event.after is State.BLACKLISTED:
             count, last_s = failures.get(server, (0, -math.inf))
@@ -186,7 +178,7 @@ def recovered(history: History) -> Iterator[Breach]:
     if history.config.policy.probing is None:
         return
     events = history.run.events
-    yield from _trusted_too_soon(_answers_first(events) if flies_rows(history.config) else events)
+    yield from _trusted_too_soon(_answers_first(events) if history.flies_rows else events)
     yield from _left_unused(history)
 
 
@@ -206,9 +198,7 @@ def _answers_first(events: Iterable[Event]) -> list[Event]:
 
 def _trusted_too_soon(events: Iterable[Event]) -> Iterator[Breach]:
     """Until a failed server answers an operation, calls of it are raced, and no call waits for the server."""
-    doubted: dict[
-        str, set[str]
-    ] = {}  # operations that were answered since the last failure, by server that failed
+    doubted: dict[str, set[str]] = {}  # by failed server, the operations that it has answered since
     for event in events:
         match event:
             case schema.Decided(server=str(server), operation=operation) if server in doubted:
@@ -230,36 +220,28 @@ def _trusted_too_soon(events: Iterable[Event]) -> Iterator[Breach]:
 
 def _left_unused(history: History) -> Iterator[Breach]:
     """A failed server that works again and stays in range does not stay blacklisted."""
-    if position_jumps(history.config):
+    if history.position_jumps:
         return
-    events, spells = history.run.events, spells_of(history)
-    ends = (event.t for event in events if isinstance(event, (schema.MissionEnded, schema.MissionCompleted)))
-    end_s = next(ends, events[-1].t)
+    spells = spells_of(history)
+    ends = (event.t for event in history.logged(schema.MissionEnded, schema.MissionCompleted))
+    end_s = next(ends, history.run.events[-1].t)
     areas = true_areas(history.config)
     for server in _joinable(history):
         area = areas[server.name]
         outside_s = [
             event.t
-            for event in events
-            if isinstance(event, schema.PositionReport)
-            and not area.contains(Position(event.east_m, event.north_m, event.altitude_m))
+            for event in history.logged(schema.PositionReport)
+            if not area.contains(Position(event.east_m, event.north_m, event.altitude_m))
         ]
+        pauses = [pause for pause in history.logged(schema.LeftOut) if pause.server == server.name]
+        targets = server.name, f"link:{server.name}"
+        faults = [fault for fault in history.config.faults if fault.target in targets]
         for spell in spells.get(server.name, []):
             since_s = max(
                 spell.probed_s,
                 *(t for t in outside_s if t < spell.until_s),
-                *(
-                    event.t + event.pause_s
-                    for event in events
-                    if isinstance(event, schema.LeftOut)
-                    and event.server == server.name
-                    and event.t <= spell.until_s
-                ),
-                *(
-                    fault.to_s
-                    for fault in history.config.faults
-                    if fault.target in (server.name, f"link:{server.name}") and fault.from_s < spell.until_s
-                ),
+                *(pause.t + pause.pause_s for pause in pauses if pause.t <= spell.until_s),
+                *(fault.to_s for fault in faults if fault.from_s < spell.until_s),
                 0.0,
             )
             unused_s = min(spell.until_s, end_s) - since_s

@@ -105,12 +105,11 @@ _MISSED_S = 3 * ASK_AGAIN_S  # who is not heard for longer has lost its place
 
 def turns(history: History) -> Iterator[Breach]:
     """A wait for a slot is bounded by the turns of those that wait too; no server is blamed for its other drones."""
-    for event in history.run.events:
-        if isinstance(event, (schema.CheckFailed, schema.CallFailedInRange)):
-            if _FULL in event.why:
-                yield event, f"{event.server} is blacklisted because it has no free slot"
-            if _QUEUED in event.why:
-                yield event, f"{event.server} is blacklisted because calls of others are before a call"
+    for event in history.logged(schema.CheckFailed, schema.CallFailedInRange):
+        if _FULL in event.why:
+            yield event, f"{event.server} is blacklisted because it has no free slot"
+        if _QUEUED in event.why:
+            yield event, f"{event.server} is blacklisted because calls of others are before a call"
     for server in history.config.servers:
         asked = [
             fact
@@ -222,7 +221,7 @@ def _started_too_soon(facts: Sequence[Observation]) -> Iterator[Breach]:
 
 
 def _asked_in_a_pause(history: History) -> Iterator[Breach]:
-    pauses = [event for event in history.run.events if isinstance(event, schema.LeftOut)]
+    pauses = list(history.logged(schema.LeftOut))
     for fact in history.own("sent") if pauses else ():
         for pause in pauses:
             until_s = pause.t + pause.pause_s
@@ -254,12 +253,12 @@ def _dialled_elsewhere(history: History) -> Iterator[Breach]:
     And one more for each move of a service, whose moves are bounded.
     """
     services = len(history.config.services)
-    moves = deque(event for event in history.run.events if isinstance(event, schema.ServiceMoved))
+    moves = deque(history.logged(schema.ServiceMoved))
     moved = Counter((event.server, event.check, event.service) for event in moves)
     for (server, check, service), times in moved.items():
         if times > MOST_MOVES:
             yield moves[0], f"{server} had {service} move {counted(times, 'time')} in check {check}"
-    turns_over = deque(event for event in history.run.events if isinstance(event, schema.TurnOver))
+    turns_over = deque(history.logged(schema.TurnOver))
     dialled: Counter[str] = Counter()  # of a server, since its daemon was
     allowed: Counter[str] = Counter()
     last_s: dict[str, float] = {}
@@ -297,9 +296,7 @@ def _asked_too_often(history: History) -> Iterator[Breach]:
 
 def _unfit_texts(event: Event) -> Iterator[Breach]:
     for name, fact in msgspec.structs.asdict(event).items():
-        if (
-            name != "trace"
-            and isinstance(fact, str)
-            and not (fact.isprintable() and len(fact) <= _LONGEST_TEXT)
-        ):
+        if name == "trace" or not isinstance(fact, str):
+            continue
+        if not fact.isprintable() or len(fact) > _LONGEST_TEXT:
             yield None, f"{event.kind} at {event.t} s: its {name} is {len(fact)} characters: {fact!r:.100}"

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 from upwash.config.drone import DroneConfig
 from upwash.config.drone_file import drone_config
@@ -54,8 +53,7 @@ _MOMENTS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Moment:
+class Moment(NamedTuple):
     """The time and kind of an event of a flight, and the name of its server or None."""
 
     t: float
@@ -71,7 +69,12 @@ def moment_of(event: Event | Observation) -> Moment:
     return Moment(event.t, event.kind, at)
 
 
-_Aims = Sequence[Moment]
+class _Aims(NamedTuple):
+    """What faults are aimed at: servers, the moments of a calm flight that matter most to a fault, and all others."""
+
+    servers: Sequence[str]
+    moments: Sequence[Moment]
+    events: Sequence[Moment]
 
 
 class World:
@@ -80,7 +83,7 @@ class World:
     def __init__(self, seed: int) -> None:
         self._number = (seed - 1) // SEEDS_PER_SCENARIO
         chance = stream("world", self._number)
-        document = _Draft(chance, self._number).document()
+        document = _draft(chance, self._number)
         for name, rarity, change in _FEATURES:
             own = stream(name, self._number)
             if rarity is None or own.random() >= rarity:
@@ -105,26 +108,34 @@ class World:
     def faulty(self, seed: int, events: Sequence[Moment]) -> list[Document]:
         """The same with the faults of the seed, aimed at moments of these events of the calm flight."""
         events = [event for event in events if event.what not in _NOT_AIMED_AT]
-        chance = stream("faults", seed)
         names = [server["name"] for server in self._documents[0]["server"]]
-        moments = [event for event in events if event.what in _MOMENTS]
-        faults = [
-            _fault(chance, names, moments) for _ in range(chance.choices(range(6), (8, 30, 27, 18, 10, 7))[0])
-        ]
+        aims = _Aims(names, [event for event in events if event.what in _MOMENTS], events)
+        chance = stream("faults", seed)
+        faults = [_fault(chance, aims) for _ in range(chance.choices(range(6), (8, 30, 27, 18, 10, 7))[0])]
         if chance.random() < 0.15:
-            faults += [_autopilot_fault(chance, events) for _ in range(chance.randint(1, 2))]
+            faults += [_autopilot_fault(chance, aims) for _ in range(chance.randint(1, 2))]
         for name, share, drawn in _MORE_FAULTS:
             own = stream(name, seed)
             if own.random() <= share:
-                faults += drawn(own, names, moments, events)
+                faults += drawn(own, aims)
         if self._comes_back:
-            faults += _power_cuts(stream("power cuts", seed), names, events)
+            faults += _power_cuts(stream("power cuts", seed), aims)
         documents = self._documents
         own = stream("ends of returns", seed)
         if own.random() <= _ENDS_SHARE:
             faults += _ends_of_returns(own)
             documents = _with_reserve(documents, own, events[-1].t if events else 100.0)
-        return [_with_least_charge({**document, "fault": faults}) for document in documents]
+        if any(fault["kind"] == "battery" for fault in faults):
+            documents = [_changed(each, mission={"reserve_percent": _RESERVE_PERCENT}) for each in documents]
+        return [{**document, "fault": faults} for document in documents]
+
+
+def _changed(document: Document, *, servers: Document | None = None, **tables: Document) -> Document:
+    """The document with other values in some tables, and in the tables of all servers."""
+    changed: Document = {name: {**document.get(name, {}), **values} for name, values in tables.items()}
+    if servers is not None:
+        changed["server"] = [{**server, **servers} for server in document["server"]]
+    return {**document, **changed}
 
 
 def _coming_back(document: Document, chance: random.Random) -> Document:
@@ -153,24 +164,17 @@ def _coming_back(document: Document, chance: random.Random) -> Document:
         for server in document["server"]
     ]
     away = [round(east_m + reach_m + 2 * _OVERLAP_M + _BEYOND_M, 1), north_m]
-    mission = {**document["mission"], "waypoints_m": [*places, away, *places]}
-    policy = {**document["policy"], "name": "look-ahead", "idle_s": 180.0}
-    return {**document, "mission": mission, "policy": policy, "server": servers}
+    policy = {"name": "look-ahead", "idle_s": 180.0}
+    flown = _changed(document, mission={"waypoints_m": [*places, away, *places]}, policy=policy)
+    return {**flown, "server": servers}
 
 
-def _power_cuts(chance: random.Random, servers: Sequence[str], events: _Aims) -> list[dict[str, Any]]:
+def _power_cuts(chance: random.Random, aims: _Aims) -> list[dict[str, Any]]:
     """All servers lose their power for a moment, most of them after the drone has left one."""
-    left = [event.t for event in events if event.what == "deselected"] or [chance.uniform(0.0, 100.0)]
+    left = [event.t for event in aims.events if event.what == "deselected"] or [chance.uniform(0.0, 100.0)]
     from_s = round(chance.choice(left) + between(chance, 0.0, 5.0), 4)
     to_s = round(from_s + chance.choice(_CUT_S), 4)
-    return [{"target": server, "kind": "power-cut", "from_s": from_s, "to_s": to_s} for server in servers]
-
-
-def _with_least_charge(document: Document) -> Document:
-    """A mission with a reserve of charge, where a second battery drains faster."""
-    if all(fault["kind"] != "battery" for fault in document["fault"]):
-        return document
-    return {**document, "mission": {**document["mission"], "reserve_percent": _RESERVE_PERCENT}}
+    return [{"target": name, "kind": "power-cut", "from_s": from_s, "to_s": to_s} for name in aims.servers]
 
 
 def configs(documents: Sequence[Document]) -> list[DroneConfig]:
@@ -178,126 +182,125 @@ def configs(documents: Sequence[Document]) -> list[DroneConfig]:
     return [drone_config(document, Path("world.toml")) for document in documents]
 
 
-class _Draft:
-    def __init__(self, chance: random.Random, number: int) -> None:
-        self._chance = chance
-        self._number = number
-        self._mode = chance.choice(("light", "heavy"))
-        self._places = _places(chance)
-        self._services = self._draw_services()
-
-    def document(self) -> Document:
-        """The scenario, without faults."""
-        chance = self._chance
-        both = len(self._services) > 1
-        document: dict[str, Any] = {
-            "name": "d1",
-            "seed": self._number,
-            "mission": {
-                "program": f"{probing.__name__}:{'look_and_read' if both else 'look'}",
-                "mode": self._mode,
-                "altitude_m": chance.choice((5.0, 20.0, 60.0)),
-                "ground_speed_m_s": between(chance, 3.0, 15.0),
-                "waypoints_m": self._places,
-            },
-            "vehicle": self._vehicle(),
-            "autopilot": {"on_failure": chance.choice(("return", "land", "hold"))},
-            "camera": {"photo_s": chance.choice((0.0, 0.2, 1.0))},
-            "policy": self._policy(),
-            "service": self._services,
-            "server": self._servers(),
+def _draft(chance: random.Random, number: int) -> Document:
+    """A scenario, without faults."""
+    mode, places, services = chance.choice(("light", "heavy")), _places(chance), _services(chance)
+    document: dict[str, Any] = {
+        "name": "d1",
+        "seed": number,
+        "mission": {
+            "program": f"{probing.__name__}:{'look_and_read' if len(services) > 1 else 'look'}",
+            "mode": mode,
+            "altitude_m": chance.choice((5.0, 20.0, 60.0)),
+            "ground_speed_m_s": between(chance, 3.0, 15.0),
+            "waypoints_m": places,
+        },
+        "vehicle": _vehicle(chance),
+        "autopilot": {"on_failure": chance.choice(("return", "land", "hold"))},
+        "camera": {"photo_s": chance.choice((0.0, 0.2, 1.0))},
+        "policy": _policy(chance),
+        "service": services,
+        "server": _servers(chance, places, services),
+    }
+    if chance.random() < 0.3:
+        document["noise"] = {"call": between(chance, 0.0, 0.4), "leg": between(chance, 0.0, 0.1)}
+    if chance.random() < 0.1:
+        document["heat"] = {"ambient_c": between(chance, 20.0, 60.0)}
+    if chance.random() < 0.3:
+        document["policy"]["hedge"] = {
+            "after": chance.choice(("p50", "p80", "p95")),
+            "budget": chance.choice((0.02, 0.1, 0.5)),
         }
-        if chance.random() < 0.3:
-            document["noise"] = {"call": between(chance, 0.0, 0.4), "leg": between(chance, 0.0, 0.1)}
-        if chance.random() < 0.1:
-            document["heat"] = {"ambient_c": between(chance, 20.0, 60.0)}
-        if chance.random() < 0.3:
-            document["policy"]["hedge"] = {
-                "after": chance.choice(("p50", "p80", "p95")),
-                "budget": chance.choice((0.02, 0.1, 0.5)),
-            }
-        return document
+    return document
 
-    def _vehicle(self) -> dict[str, Any]:
-        chance = self._chance
-        if chance.random() < 0.25:
-            return {"profile": "arducopter"}
-        return {
-            "acceleration_m_s2": between(chance, 0.5, 5.0),
-            "takeoff_s": between(chance, 0.0, 12.0),
-            "return_and_land_s": between(chance, 1.0, 16.0),
-        }
 
-    def _policy(self) -> dict[str, Any]:
-        chance = self._chance
-        return {
-            "name": chance.choices(
-                ("location-aware", "look-ahead", "opportunistic", "local-only"), (36, 36, 25, 3)
-            )[0],
-            "gain_switch": chance.choice((0.0, 0.1, 0.25, 0.5)),
-            "gain_wait": chance.choice((0.0, 0.1, 0.25, 0.6)),
-            "period_s": chance.choice((0.5, 1.0, 2.0, 3.0)),
-            "blacklist_s": chance.choice((1.0, 5.0, 20.0, 60.0)),
-            "idle_s": chance.choice((0.0, 10.0, 180.0)),
-            "retry_s": chance.choice((0.0, 20.0, 300.0)),
-        }
+def _vehicle(chance: random.Random) -> dict[str, Any]:
+    if chance.random() < 0.25:
+        return {"profile": "arducopter"}
+    return {
+        "acceleration_m_s2": between(chance, 0.5, 5.0),
+        "takeoff_s": between(chance, 0.0, 12.0),
+        "return_and_land_s": between(chance, 1.0, 16.0),
+    }
 
-    def _draw_services(self) -> list[dict[str, Any]]:
-        chance = self._chance
-        spotter = {
-            "name": "spotter",
-            "program": f"{probing.__name__}:Spotter",
-            "request_bytes": chance.choice((1_000, 100_000, 425_000)),
-            "local_call_s": {"light": between(chance, 0.5, 4.0), "heavy": between(chance, 3.0, 10.0)},
-            "local_first_extra_s": chance.choice((0.0, 0.0, 2.0)),
-        }
-        gauge = {
-            "name": "gauge",
-            "program": f"{probing.__name__}:Gauge",
-            "request_bytes": 10_000,
-            "local_call_s": {"": between(chance, 0.3, 6.0)},
-        }
-        return [spotter, gauge] if chance.random() < 0.35 else [spotter]
 
-    def _servers(self) -> list[dict[str, Any]]:
-        count = self._chance.choices((1, 2, 3, 4), (25, 40, 25, 10))[0]
-        return [self._server(f"s{number}") for number in range(1, count + 1)]
+def _policy(chance: random.Random) -> dict[str, Any]:
+    return {
+        "name": chance.choices(
+            ("location-aware", "look-ahead", "opportunistic", "local-only"), (36, 36, 25, 3)
+        )[0],
+        "gain_switch": chance.choice((0.0, 0.1, 0.25, 0.5)),
+        "gain_wait": chance.choice((0.0, 0.1, 0.25, 0.6)),
+        "period_s": chance.choice((0.5, 1.0, 2.0, 3.0)),
+        "blacklist_s": chance.choice((1.0, 5.0, 20.0, 60.0)),
+        "idle_s": chance.choice((0.0, 10.0, 180.0)),
+        "retry_s": chance.choice((0.0, 20.0, 300.0)),
+    }
 
-    def _server(self, name: str) -> dict[str, Any]:
-        chance = self._chance
-        east_m, north_m = chance.choice(self._places)
-        check_running_s = between(chance, 0.1, 6.0)
-        server = {
-            "name": name,
-            "east_m": round(east_m + chance.uniform(-60, 60), 1),
-            "north_m": round(north_m + chance.uniform(-60, 60), 1),
-            "range_m": between(chance, 10.0, 160.0),
-            "network": "shared" if chance.random() < 0.1 else name,
-            "check_running_s": check_running_s,
-            "check_s": round(check_running_s + chance.uniform(0.0, 12.0), 2),
-            "remote_call_s": self._remote_s(0.02, 0.8 if chance.random() < 0.85 else 1.5),
-        }
-        truth: dict[str, Any] = {"slots": chance.choice((1, 1, 2))}
-        if chance.random() < 0.5:  # it is not as believed
-            truth["join_s"] = between(chance, 0.0, 12.0)
-            truth["start_s"] = between(chance, 0.0, 20.0)
-            truth["remote_call_s"] = self._remote_s(0.02, 2.0)
-        elif chance.random() < 0.3:
-            truth["radio"] = chance.choice(("disc54", "disc12"))
-            truth["processing_s"] = self._remote_s(0.01, 0.3)
-        if chance.random() < 0.08:
-            names = [service["name"] for service in self._services]
-            truth["images"] = chance.sample(names, chance.randrange(len(names)))
-        return {**server, "truth": truth}
 
-    def _remote_s(self, least: float, most: float) -> dict[str, dict[str, float]]:
-        return {
-            service["name"]: {
-                key: round(local_s * self._chance.uniform(least, most), 3)
-                for key, local_s in service["local_call_s"].items()
-            }
-            for service in self._services
+def _services(chance: random.Random) -> list[dict[str, Any]]:
+    spotter = {
+        "name": "spotter",
+        "program": f"{probing.__name__}:Spotter",
+        "request_bytes": chance.choice((1_000, 100_000, 425_000)),
+        "local_call_s": {"light": between(chance, 0.5, 4.0), "heavy": between(chance, 3.0, 10.0)},
+        "local_first_extra_s": chance.choice((0.0, 0.0, 2.0)),
+    }
+    gauge = {
+        "name": "gauge",
+        "program": f"{probing.__name__}:Gauge",
+        "request_bytes": 10_000,
+        "local_call_s": {"": between(chance, 0.3, 6.0)},
+    }
+    return [spotter, gauge] if chance.random() < 0.35 else [spotter]
+
+
+def _servers(
+    chance: random.Random, places: Sequence[Sequence[float]], services: Sequence[Document]
+) -> list[dict[str, Any]]:
+    count = chance.choices((1, 2, 3, 4), (25, 40, 25, 10))[0]
+    return [_server(chance, f"s{number}", places, services) for number in range(1, count + 1)]
+
+
+def _server(
+    chance: random.Random, name: str, places: Sequence[Sequence[float]], services: Sequence[Document]
+) -> dict[str, Any]:
+    east_m, north_m = chance.choice(places)
+    check_running_s = between(chance, 0.1, 6.0)
+    server = {
+        "name": name,
+        "east_m": round(east_m + chance.uniform(-60, 60), 1),
+        "north_m": round(north_m + chance.uniform(-60, 60), 1),
+        "range_m": between(chance, 10.0, 160.0),
+        "network": "shared" if chance.random() < 0.1 else name,
+        "check_running_s": check_running_s,
+        "check_s": round(check_running_s + chance.uniform(0.0, 12.0), 2),
+        "remote_call_s": _remote_s(chance, services, 0.02, 0.8 if chance.random() < 0.85 else 1.5),
+    }
+    truth: dict[str, Any] = {"slots": chance.choice((1, 1, 2))}
+    if chance.random() < 0.5:  # it is not as believed
+        truth["join_s"] = between(chance, 0.0, 12.0)
+        truth["start_s"] = between(chance, 0.0, 20.0)
+        truth["remote_call_s"] = _remote_s(chance, services, 0.02, 2.0)
+    elif chance.random() < 0.3:
+        truth["radio"] = chance.choice(("disc54", "disc12"))
+        truth["processing_s"] = _remote_s(chance, services, 0.01, 0.3)
+    if chance.random() < 0.08:
+        names = [service["name"] for service in services]
+        truth["images"] = chance.sample(names, chance.randrange(len(names)))
+    return {**server, "truth": truth}
+
+
+def _remote_s(
+    chance: random.Random, services: Sequence[Document], least: float, most: float
+) -> dict[str, dict[str, float]]:
+    return {
+        service["name"]: {
+            key: round(local_s * chance.uniform(least, most), 3)
+            for key, local_s in service["local_call_s"].items()
         }
+        for service in services
+    }
 
 
 def _with_peers(document: Document, chance: random.Random) -> Document:
@@ -344,18 +347,16 @@ def _with_probing(document: Document, chance: random.Random) -> Document:
 
 def _with_eager_hedges(document: Document, _: random.Random) -> Document:
     """Half of all remote calls are hedged, within a small budget."""
-    return {**document, "policy": {**document["policy"], "hedge": {"after": "p50", "budget": 0.05}}}
+    return _changed(document, policy={"hedge": {"after": "p50", "budget": 0.05}})
 
 
 def _with_pending_calls(document: Document, chance: random.Random) -> Document:
     """With one service the drones may fly on before they have an answer."""
     if len(document["service"]) > 1 or _has_peers(document):
         return document
-    return {
-        **document,
-        "mission": {**document["mission"], "program": f"{probing.__name__}:look_later"},
-        "policy": _that_goes(document, chance),
-    }
+    return _changed(
+        document, mission={"program": f"{probing.__name__}:look_later"}, policy=_that_goes(document, chance)
+    )
 
 
 def _has_peers(document: Document) -> bool:
@@ -371,7 +372,7 @@ def _that_goes(document: Document, chance: random.Random) -> Document:
 
     In a sixth of the worlds it acts at once, and in another in time.
     """
-    policy = {**document["policy"], "stay_or_go": chance.choice(("stay", "go", "learn"))}
+    policy: dict[str, Any] = {"stay_or_go": chance.choice(("stay", "go", "learn"))}
     if (number := document["seed"] % 12) < len(_ACT_WITHIN_S):
         policy["act_within_s"] = _ACT_WITHIN_S[number]
     return policy if document["seed"] % 2 else {**policy, "demand_map": _NO_MAP}
@@ -382,27 +383,17 @@ def _with_radios(document: Document, chance: random.Random) -> Document:
 
 
 def _with_rows(document: Document, chance: random.Random) -> Document:
-    """The drones fly rows without stopping, with several answers open."""
-    mission, both = document["mission"], len(document["service"]) > 1
-    programs = (
-        ("look_and_read_on_the_move", "look_and_read") if both else ("look_on_the_move", "look_later", "look")
-    )
-    program = chance.choices(programs, (5, 2) if both else (5, 3, 2))[0]
+    if len(document["service"]) > 1:
+        program = chance.choices(("look_and_read_on_the_move", "look_and_read"), (5, 2))[0]
+    else:
+        program = chance.choices(("look_on_the_move", "look_later", "look"), (5, 3, 2))[0]
     photos = {
         "every_m": chance.choice((15.0, 20.0, 33.0)),
         "order": chance.choice(("oldest", "newest")),
         "at_most": chance.choice((1, 2, 3, 5, 100)),
     }
-    return {
-        **document,
-        "mission": {
-            **mission,
-            "program": f"{probing.__name__}:{program}",
-            "waypoints_m": _rows(chance),
-            "photos": photos,
-        },
-        "policy": _that_goes(document, chance),
-    }
+    flown = {"program": f"{probing.__name__}:{program}", "waypoints_m": _rows(chance), "photos": photos}
+    return _changed(document, mission=flown, policy=_that_goes(document, chance))
 
 
 def _with_two_answers(document: Document, chance: random.Random) -> Document:
@@ -413,11 +404,9 @@ def _with_two_answers(document: Document, chance: random.Random) -> Document:
         return document
     program = "look_twice_on_the_move" if "photos" in document["mission"] else "look_twice_later"
     within_s = light_s + chance.choice((1.0, 5.0, 15.0, 40.0))
-    return {
-        **document,
-        "mission": {**document["mission"], "mode": "heavy", "program": f"{probing.__name__}:{program}"},
-        "service": [{**spotter, "two_answers": {"first": "light", "within_s": round(within_s, 2)}}],
-    }
+    twice = {**spotter, "two_answers": {"first": "light", "within_s": round(within_s, 2)}}
+    mission = {"mode": "heavy", "program": f"{probing.__name__}:{program}"}
+    return {**_changed(document, mission=mission), "service": [twice]}
 
 
 def _rows(chance: random.Random) -> list[list[float]]:
@@ -434,21 +423,16 @@ def _rows(chance: random.Random) -> list[list[float]]:
 
 
 def _with_only_servers(document: Document, chance: random.Random) -> Document:
-    """No drone can run the mission's service."""
-    return {
-        **document,
-        "mission": {**document["mission"], "program": f"{probing.__name__}:ask_servers"},
-        "policy": {**document["policy"], "detour_s": chance.choice((0.0, 20.0, 120.0))},
-        "service": [
-            {
-                "name": "surveyor",
-                "program": f"{probing.__name__}:Surveyor",
-                "request_bytes": chance.choice((1_000, 100_000, 425_000)),
-                "waiting_bytes": chance.choice((20, 200, 1_000_000)),
-            }
-        ],
-        "server": [_surveying(server, chance) for server in document["server"]],
+    policy = {"detour_s": chance.choice((0.0, 20.0, 120.0))}
+    surveyor = {
+        "name": "surveyor",
+        "program": f"{probing.__name__}:Surveyor",
+        "request_bytes": chance.choice((1_000, 100_000, 425_000)),
+        "waiting_bytes": chance.choice((20, 200, 1_000_000)),
     }
+    servers = [_surveying(server, chance) for server in document["server"]]
+    flown = _changed(document, mission={"program": f"{probing.__name__}:ask_servers"}, policy=policy)
+    return {**flown, "service": [surveyor], "server": servers}
 
 
 def _surveying(server: dict[str, Any], chance: random.Random) -> dict[str, Any]:
@@ -474,12 +458,9 @@ def _with_less_to_send(document: Document, chance: random.Random) -> Document:
     servers = [
         {**server, "bandwidth_bit_s": chance.choice((0.3e6, 1e6, 4e6))} for server in document["server"]
     ]
-    return {
-        **document,
-        "service": [{**spotter, "request_bytes": request_bytes, "before_sending": part}, *others],
-        "server": servers,
-        "policy": {**document["policy"], "most_loss": chance.choice((0.0, 0.02, 0.1, 0.1))},
-    }
+    smaller = {**spotter, "request_bytes": request_bytes, "before_sending": part}
+    flown = _changed(document, policy={"most_loss": chance.choice((0.0, 0.02, 0.1, 0.1))})
+    return {**flown, "service": [smaller, *others], "server": servers}
 
 
 def _with_deadlines(document: Document, chance: random.Random) -> Document:
@@ -489,17 +470,12 @@ def _with_deadlines(document: Document, chance: random.Random) -> Document:
         return document
     within_s = chance.choice((1.0, 1.2, 3.0)) * max(spotter["local_call_s"].values())
     deadline = {"s": within_s, "p": 0.99, "extra": chance.choice((0.1, 0.5, 1.0))}
-    return {
-        **document,
-        "service": [{**spotter, "deadline": deadline}, *others],
-        "server": [{**server, "times_csv": str(_TIMES)} for server in document["server"]],
-        "policy": {**document["policy"], "hedge": {"budget": 1.0}},
-        "network": {"radios": 2},
-    }
+    believed, hedge = {"times_csv": str(_TIMES)}, {"budget": 1.0}
+    flown = _changed(document, servers=believed, policy={"hedge": hedge}, network={"radios": 2})
+    return {**flown, "service": [{**spotter, "deadline": deadline}, *others]}
 
 
 def _with_objects(document: Document, chance: random.Random) -> Document:
-    """The mission acts on objects that are drawn near the waypoints."""
     mission, (spotter, *others) = document["mission"], document["service"]
     changed = {"two_answers", "before_sending", "deadline"} & spotter.keys()
     if others or changed or not mission["program"].startswith(f"{probing.__name__}:look"):
@@ -512,13 +488,9 @@ def _with_objects(document: Document, chance: random.Random) -> Document:
         away_m = (math.hypot(each["east_m"] - east_m, each["north_m"] - north_m) for each in objects)
         if min(away_m, default=math.inf) > _OBJECTS_APART_M:
             objects.append({"label": label, "east_m": east_m, "north_m": north_m})
-    return {
-        **document,
-        "mission": {**mission, "program": f"{seeking.__name__}:look_for_objects"},
-        "service": [{**spotter, "program": f"{seeking.__name__}:Spotter"}],
-        "camera": {**document["camera"], "fov_deg": 62.2},
-        "event": {"objects": objects},
-    }
+    flown = {"program": f"{seeking.__name__}:look_for_objects"}
+    seen = _changed(document, mission=flown, camera={"fov_deg": 62.2}, event={"objects": objects})
+    return {**seen, "service": [{**spotter, "program": f"{seeking.__name__}:Spotter"}]}
 
 
 _FEATURES: tuple[tuple[str, float | None, Callable[[Document, random.Random], Document]], ...] = (
@@ -552,17 +524,9 @@ def _companion(document: Document, chance: random.Random, number: int) -> Docume
     places = _places(chance)
     if "photos" in document["mission"]:
         places = _rows(stream("rows of a companion", document["seed"] * 10 + number))
-    mission = {
-        **document["mission"],
-        "waypoints_m": places,
-        "ground_speed_m_s": between(chance, 3.0, 15.0),
-    }
-    return {
-        **document,
-        "name": f"d{number}",
-        "seed": document["seed"] + number * 1_000_000_007,
-        "mission": mission,
-    }
+    mission = {"waypoints_m": places, "ground_speed_m_s": between(chance, 3.0, 15.0)}
+    seed = document["seed"] + number * 1_000_000_007
+    return {**_changed(document, mission=mission), "name": f"d{number}", "seed": seed}
 
 
 def _with_fleet(documents: list[Document], number: int) -> list[Document]:
@@ -581,11 +545,11 @@ def _with_fleet(documents: list[Document], number: int) -> list[Document]:
     return fleet + [_companion(fleet[0], chance, number) for number in more]
 
 
-def _fault(chance: random.Random, servers: Sequence[str], moments: Sequence[Moment]) -> dict[str, Any]:
-    server = chance.choice(servers)
+def _fault(chance: random.Random, aims: _Aims) -> dict[str, Any]:
+    server = chance.choice(aims.servers)
     from_s = chance.uniform(0.0, 100.0)
-    if moments and chance.random() < 0.85:
-        moment = chance.choice(moments)
+    if aims.moments and chance.random() < 0.85:
+        moment = chance.choice(aims.moments)
         server = moment.server or server
         from_s = moment.t + chance.choice((0.0, chance.uniform(-0.01, 0.01), chance.uniform(-3.0, 3.0)))
     on_link = chance.random() < 0.35
@@ -596,72 +560,60 @@ def _fault(chance: random.Random, servers: Sequence[str], moments: Sequence[Mome
     }
 
 
-def _autopilot_fault(chance: random.Random, events: Sequence[Moment]) -> dict[str, Any]:
-    from_s = (chance.choice(events).t if events else 0.0) + chance.uniform(-1.0, 1.0)
+def _about(chance: random.Random, aims: _Aims) -> float:
+    return (chance.choice(aims.events).t if aims.events else 0.0) + chance.uniform(-1.0, 1.0)
+
+
+def _autopilot_fault(chance: random.Random, aims: _Aims) -> dict[str, Any]:
+    from_s = _about(chance, aims)
     return {"target": "autopilot", "kind": chance.choice(MOVING_KINDS), **spell(chance, from_s, _LASTS_S)}
 
 
-def _takeovers(chance: random.Random, _: Sequence[str], __: _Aims, events: _Aims) -> list[dict[str, Any]]:
+def _takeovers(chance: random.Random, aims: _Aims) -> list[dict[str, Any]]:
     """A pilot or a fail-safe takes the vehicle, at any moment."""
     kinds = chance.choice((["pilot"], ["fail-safe"], ["fail-safe", "pilot"]))
-    return [{**_autopilot_fault(chance, events), "kind": kind} for kind in kinds]
+    return [{**_autopilot_fault(chance, aims), "kind": kind} for kind in kinds]
 
 
-def _incidents(chance: random.Random, _: Sequence[str], __: _Aims, events: _Aims) -> list[dict[str, Any]]:
+def _incidents(chance: random.Random, aims: _Aims) -> list[dict[str, Any]]:
     """Others move the vehicle or its home, its position jumps, or its autopilot restarts."""
-    return [_incident(chance, events) for _ in range(chance.choice((1, 1, 2)))]
+    faults = []
+    for _ in range(chance.choice((1, 1, 2))):
+        kind = chance.choice(tuple(_INCIDENTS))
+        from_s = round(max(0.0, _about(chance, aims)), 4)
+        lasts_s = round(chance.choice(_INCIDENTS[kind]) * chance.uniform(0.5, 1.5), 4)
+        angle, far_m = chance.uniform(0.0, math.tau), chance.uniform(*_MOVED_M)
+        up_m = chance.choice((-1, 1)) * chance.uniform(*_RAISED_M)
+        moved_m = [round(each, 2) for each in (far_m * math.cos(angle), far_m * math.sin(angle), up_m)]
+        spell_s = {"from_s": from_s, "to_s": round(from_s + lasts_s, 4)}
+        faults.append({"target": "autopilot", "kind": kind, **spell_s, "moved_m": moved_m})
+    return faults
 
 
-def _incident(chance: random.Random, events: Sequence[Moment]) -> dict[str, Any]:
-    kind = chance.choice(tuple(_INCIDENTS))
-    from_s = round(max(0.0, (chance.choice(events).t if events else 0.0) + chance.uniform(-1.0, 1.0)), 4)
-    lasts_s = round(chance.choice(_INCIDENTS[kind]) * chance.uniform(0.5, 1.5), 4)
-    angle, far_m = chance.uniform(0.0, math.tau), chance.uniform(*_MOVED_M)
-    up_m = chance.choice((-1, 1)) * chance.uniform(*_RAISED_M)
-    moved_m = (far_m * math.cos(angle), far_m * math.sin(angle), up_m)
-    return {
-        "target": "autopilot",
-        "kind": kind,
-        "from_s": from_s,
-        "to_s": round(from_s + lasts_s, 4),
-        "moved_m": [round(each_m, 2) for each_m in moved_m],
-    }
+def _of_servers(chance: random.Random, aims: _Aims, *, most: int) -> Iterator[dict[str, Any]]:
+    for _ in range(chance.randint(1, most)):
+        fault = _fault(chance, aims)
+        yield {**fault, "target": fault["target"].removeprefix("link:")}
 
 
-def _lies(chance: random.Random, servers: Sequence[str], moments: _Aims, _: _Aims) -> list[dict[str, Any]]:
-    aimed = (_fault(chance, servers, moments) for _ in range(chance.randint(1, 3)))
-    return [
-        {
-            **fault,
-            "target": fault["target"].removeprefix("link:"),
-            "kind": "lying",
-            "lie": chance.choice(_LIES),
-        }
-        for fault in aimed
-    ]
+def _lies(chance: random.Random, aims: _Aims) -> list[dict[str, Any]]:
+    faults = _of_servers(chance, aims, most=3)
+    return [{**fault, "kind": "lying", "lie": chance.choice(_LIES)} for fault in faults]
 
 
-def _useless_instances(
-    chance: random.Random, servers: Sequence[str], moments: _Aims, _: _Aims
-) -> list[dict[str, Any]]:
+def _useless_instances(chance: random.Random, aims: _Aims) -> list[dict[str, Any]]:
     """Instances hang, raise for good, or do not start."""
-    aimed = (_fault(chance, servers, moments) for _ in range(chance.randint(1, 2)))
-    return [
-        {**fault, "target": fault["target"].removeprefix("link:"), "kind": chance.choice(_USELESS_KINDS)}
-        for fault in aimed
-    ]
+    return [{**fault, "kind": chance.choice(_USELESS_KINDS)} for fault in _of_servers(chance, aims, most=2)]
 
 
 def _ends_of_returns(chance: random.Random) -> list[dict[str, Any]]:
     """Returns hover, or end at one of some rally points."""
-    kinds = chance.choice((["hovers"], ["rally"], ["rally", "rally"], ["hovers", "rally"]))
-    return [_end_of_returns(kind, chance) for kind in kinds]
-
-
-def _end_of_returns(kind: str, chance: random.Random) -> dict[str, Any]:
-    angle, far_m = chance.uniform(0.0, math.tau), chance.uniform(*_RALLY_M)
-    moved_m = [round(far_m * math.cos(angle), 1), round(far_m * math.sin(angle), 1), 0.0]
-    return {"target": "autopilot", "kind": kind, "moved_m": moved_m}
+    faults = []
+    for kind in chance.choice((["hovers"], ["rally"], ["rally", "rally"], ["hovers", "rally"])):
+        angle, far_m = chance.uniform(0.0, math.tau), chance.uniform(*_RALLY_M)
+        moved_m = [round(far_m * math.cos(angle), 1), round(far_m * math.sin(angle), 1), 0.0]
+        faults.append({"target": "autopilot", "kind": kind, "moved_m": moved_m})
+    return faults
 
 
 def _with_reserve(documents: list[Document], chance: random.Random, calm_s: float) -> list[Document]:
@@ -669,17 +621,11 @@ def _with_reserve(documents: list[Document], chance: random.Random, calm_s: floa
     if chance.random() < 0.5:
         return documents
     endurance_s, reserve_s = calm_s * between(chance, 0.6, 2.0), chance.choice((5.0, 20.0, 60.0))
-    return [
-        {
-            **document,
-            "mission": {**document["mission"], "reserve_s": reserve_s},
-            "vehicle": {**document["vehicle"], "endurance_s": round(endurance_s + reserve_s, 1)},
-        }
-        for document in documents
-    ]
+    vehicle = {"endurance_s": round(endurance_s + reserve_s, 1)}
+    return [_changed(each, mission={"reserve_s": reserve_s}, vehicle=vehicle) for each in documents]
 
 
-def _second_batteries(chance: random.Random, _: Sequence[str], __: _Aims, ___: _Aims) -> list[dict[str, Any]]:
+def _second_batteries(chance: random.Random, _: _Aims) -> list[dict[str, Any]]:
     """A second battery drains faster than the mission lasts."""
     return [{"target": "autopilot", "kind": "battery", "lasts_s": between(chance, *_SECOND_LASTS_S)}]
 

@@ -117,21 +117,10 @@ _DELAYS_IN, _STRIP_IN, _LINE_IN, _REST_IN = 1.9, 0.17, 0.13, 0.6
 _LONGEST_NAME, _LONGEST_TITLE = 24, 100  # characters of a line
 _TICKS = 10
 _BAND = (5, 95)  # percent of the missions
+_HOLLOW = {"facecolors": "none", "edgecolors": LIGHT.ink, "linewidths": 0.9}
 _WAITS: Mapping[DrawnWait, Mapping[str, Any]] = {  # marks around the call's own: each has a shape
-    DrawnWait.WAITED: {
-        "marker": "o",
-        "s": 62,
-        "facecolors": "none",
-        "edgecolors": LIGHT.ink,
-        "linewidths": 0.9,
-    },
-    DrawnWait.IN_VAIN: {
-        "marker": "s",
-        "s": 70,
-        "facecolors": "none",
-        "edgecolors": LIGHT.ink,
-        "linewidths": 0.9,
-    },
+    DrawnWait.WAITED: {"marker": "o", "s": 62, **_HOLLOW},
+    DrawnWait.IN_VAIN: {"marker": "s", "s": 70, **_HOLLOW},
     DrawnWait.DECLINED: {"marker": "x", "s": 34, "color": LIGHT.ink, "linewidths": 1.0},
 }
 

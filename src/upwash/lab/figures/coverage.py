@@ -43,6 +43,8 @@ _ASIDE, _STEPS = 4, 9  # steps that a name may be moved sideways, and up or down
 _MARK_PT, _COVERED_PT = 1.5, 12.0  # around a waypoint, and how far a name is moved so as not to cover it
 _MOST_PT = 60.0  # of both together: a name that would be farther away is left out
 
+_ARROW = {"arrowstyle": "-|>", "color": LIGHT.soft, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 3}
+_CENTRE: Mapping[str, Any] = {"marker": "+", "markersize": 6, "markeredgewidth": 1.4, "zorder": 5}
 _SEVERAL, _NONE = -1, -2  # in place of a server's index
 
 
@@ -64,13 +66,7 @@ def draw_coverage(config: DroneConfig, files: Iterable[Path], *, title: str = ""
             "",
             xy=(end.east_m, end.north_m),
             xytext=(start.east_m, start.north_m),
-            arrowprops={
-                "arrowstyle": "-|>",
-                "color": LIGHT.soft,
-                "linewidth": 0.6,
-                "shrinkA": 0,
-                "shrinkB": 3,
-            },
+            arrowprops=_ARROW,
         )
     _draw_areas(axes, areas)
     _draw_waypoints(axes, places, servers, areas)
@@ -97,25 +93,13 @@ def _height(places: Sequence[Position], areas: Iterable[Circle]) -> float:
 
 
 def _draw_areas(axes: Axes, areas: Mapping[int, Circle]) -> None:
-    """Draw the ranges and their middles."""
     for index, area in areas.items():
+        centre, (_, dashes, colour, _) = area.centre, _look(index)
         angles = [math.tau * step / 180 for step in range(181)]
-        axes.plot(
-            [area.centre.east_m + area.radius_m * math.cos(angle) for angle in angles],
-            [area.centre.north_m + area.radius_m * math.sin(angle) for angle in angles],
-            color=LIGHT.of_server(index),
-            linestyle=DASHES[index % len(DASHES)],
-            linewidth=1.0,
-        )
-        axes.plot(
-            area.centre.east_m,
-            area.centre.north_m,
-            marker="+",
-            markersize=6,
-            markeredgewidth=1.4,
-            color=LIGHT.of_server(index),
-            zorder=5,
-        )
+        easts_m = [centre.east_m + area.radius_m * math.cos(angle) for angle in angles]
+        norths_m = [centre.north_m + area.radius_m * math.sin(angle) for angle in angles]
+        axes.plot(easts_m, norths_m, color=colour, linestyle=dashes, linewidth=1.0)
+        axes.plot(centre.east_m, centre.north_m, **_CENTRE, color=colour)
 
 
 def _name_areas(
@@ -163,7 +147,6 @@ def _name_areas(
 
 
 def _ways(width_pt: float, height_pt: float) -> Iterator[tuple[float, float]]:
-    """How far a name may be moved."""
     for right, up in itertools.product(range(-_ASIDE, 1 + _ASIDE), range(-_STEPS, 1 + _STEPS)):
         yield right * width_pt / _ASIDE, up * height_pt / 2
 
@@ -205,11 +188,12 @@ def _look(index: int) -> tuple[str, Any, str, str]:
 
 def _straights(places: Sequence[Position]) -> Iterator[tuple[Position, Position]]:
     """The legs of the flight, with consecutive legs of one heading joined."""
+
+    def heading_deg(leg: tuple[Position, Position]) -> int:
+        start, end = leg
+        return round(math.degrees(math.atan2(end.east_m - start.east_m, end.north_m - start.north_m)))
+
     legs = [leg for leg in itertools.pairwise(places) if leg[0] != leg[1]]
-    for _, run in itertools.groupby(legs, key=lambda leg: _heading_deg(*leg)):
+    for _, run in itertools.groupby(legs, key=heading_deg):
         straight = list(run)
         yield straight[0][0], straight[-1][1]
-
-
-def _heading_deg(start: Position, end: Position) -> int:
-    return round(math.degrees(math.atan2(end.east_m - start.east_m, end.north_m - start.north_m)))

@@ -115,7 +115,6 @@ def _draw_mean(axes: Axes, mean: Mean, y_in: float, look: Mapping[str, Any]) -> 
         **look,
         markersize=4.5,
         elinewidth=1.2,
-        capsize=2.0,
         zorder=3,
     )
 
@@ -142,17 +141,11 @@ def draw_sweep(
         marker="o",
         markersize=3.5,
         elinewidth=1.0,
-        capsize=2.0,
         label="mean and 95 % confidence" if known else "mean",
     )
     if any(bound_s is not None for bound_s in bounds):
-        axes.plot(
-            x,
-            [math.nan if bound_s is None else bound_s / _MINUTE_S for bound_s in bounds],
-            **_BOUND,
-            marker=".",
-            markersize=3.0,
-        )
+        least = [math.nan if bound_s is None else bound_s / _MINUTE_S for bound_s in bounds]
+        axes.plot(x, least, **_BOUND, marker=".", markersize=3.0)
     few_ticks(axes.xaxis, most=_TICKS, whole=all(value == round(value) for value in x))
     axes.set_xlabel(wrapped(key, _LONGEST_LABEL))
     axes.set_ylabel("mission time (min)")

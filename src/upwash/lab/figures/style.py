@@ -55,6 +55,7 @@ _RC: dict[Any, Any] = {
     "legend.title_fontsize": 7.5,
     "legend.handlelength": 1.6,
     "lines.linewidth": 1.2,
+    "errorbar.capsize": 2.0,
     "pdf.fonttype": 42,  # TrueType: text can be searched and edited
     "svg.fonttype": "none",  # text elements
     "svg.hashsalt": "upwash",

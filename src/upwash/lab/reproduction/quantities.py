@@ -45,15 +45,8 @@ _SAVED = ThesisQuantity(
 _SAVED_THERE = ThesisQuantity(
     "saving_of_waiting_at_those_waypoints_alone", "  of the calls that waited", "percent"
 )
-_NAIVE_DELAY = ThesisQuantity("naive_selection_extra_service_delay", "naive, logs: service delay", "percent")
-_NAIVE_MIN = ThesisQuantity("naive_selection_extra_mission_time", "naive, logs: longer mission", "min")
-_NAIVE_SHARE = ThesisQuantity(
-    "naive_selection_extra_mission_time_share", "naive, logs: longer mission", "percent"
-)
+_NAIVE_DELAY, _NAIVE_TIME = "naive_selection_extra_service_delay", "naive_selection_extra_mission_time"
 _FLOWN = "_flown"  # what the thesis estimated from logs
-_NAIVE_DELAY_FLOWN = ThesisQuantity(_NAIVE_DELAY.name + _FLOWN, "naive, flown: service delay", "percent")
-_NAIVE_MIN_FLOWN = ThesisQuantity(_NAIVE_MIN.name + _FLOWN, "naive, flown: longer mission", "min")
-_NAIVE_SHARE_FLOWN = ThesisQuantity(_NAIVE_SHARE.name + _FLOWN, "naive, flown: longer mission", "percent")
 
 _FORMS = {"min": "{:.2f} min", "ratio": "{:.2f} x", "count": "{:.1f}", "percent": "{:.1f} %"}
 
@@ -138,31 +131,32 @@ def _quantities(
     waiting = [flight for flight in aware if flight.waited_calls_s]
     if waiting:
         yield _SAVED, [100 * flight.saved_s / (flight.service_delay_s + flight.saved_s) for flight in waiting]
+        local_s = [flight.local_call_s * len(flight.waited_calls_s) for flight in waiting]
         yield (
             _SAVED_THERE,
-            [100 * flight.saved_s / (flight.local_call_s * len(flight.waited_calls_s)) for flight in waiting],
+            [100 * its.saved_s / alone_s for its, alone_s in zip(waiting, local_s, strict=True)],
         )
     if experiment == NAIVE:
         equal = flown[ThesisCell(setup, Experiment(experiment.mode, slow_s2=False), "location-aware")]
-        yield from _naive(
-            flown[ThesisCell(setup, experiment, "opportunistic")],
-            (_NAIVE_DELAY_FLOWN, _NAIVE_MIN_FLOWN, _NAIVE_SHARE_FLOWN),
-            aware,
-        )
-        estimated = [_with_slow_calls(log, its) for log, its in zip(equal, aware, strict=True)]
-        yield from _naive(estimated, (_NAIVE_DELAY, _NAIVE_MIN, _NAIVE_SHARE), aware)
+        yield from _naive(flown[ThesisCell(setup, experiment, "opportunistic")], aware, "flown", _FLOWN)
+        yield from _naive(list(map(_with_slow_calls, equal, aware)), aware, "logs")
 
 
 def _naive(
-    naive: Sequence[CellResult],
-    quantities: tuple[ThesisQuantity, ThesisQuantity, ThesisQuantity],
-    aware: Sequence[CellResult],
+    naive: Sequence[CellResult], aware: Sequence[CellResult], by: str, suffix: str = ""
 ) -> Iterator[tuple[ThesisQuantity, list[float]]]:
-    more_delay, more_min, more_share = quantities
+    """What the naive selection costs by the logs, or as flown."""
     pairs = list(zip(naive, aware, strict=True))
-    yield more_delay, [100 * (ours.service_delay_s / its.service_delay_s - 1) for ours, its in pairs]
-    yield more_min, [ours.mission_min - its.mission_min for ours, its in pairs]
-    yield more_share, [100 * (ours.mission_min / its.mission_min - 1) for ours, its in pairs]
+
+    def quantity(name: str, label: str, unit: str) -> ThesisQuantity:
+        return ThesisQuantity(name + suffix, f"naive, {by}: {label}", unit)
+
+    delays = [100 * (ours.service_delay_s / its.service_delay_s - 1) for ours, its in pairs]
+    yield quantity(_NAIVE_DELAY, "service delay", "percent"), delays
+    longer_min = [ours.mission_min - its.mission_min for ours, its in pairs]
+    yield quantity(_NAIVE_TIME, "longer mission", "min"), longer_min
+    shares = [100 * (ours.mission_min / its.mission_min - 1) for ours, its in pairs]
+    yield quantity(f"{_NAIVE_TIME}_share", "longer mission", "percent"), shares
 
 
 def _with_slow_calls(log: CellResult, slow: CellResult) -> CellResult:
@@ -226,12 +220,8 @@ def contradictions() -> Iterator[str]:
 @lru_cache
 def _printed() -> tuple[PrintedFigure, ...]:
     text = (files("upwash.lab.reproduction") / "thesis" / "printed.csv").read_text(encoding="utf-8")
-    return tuple(
-        PrintedFigure(
-            Key(row["experiment"], row["setup"], row["quantity"]),
-            float(row["value"]),
-            row["unit"],
-            row["source"],
-        )
-        for row in csv.DictReader(text.splitlines())
-    )
+    figures = []
+    for row in csv.DictReader(text.splitlines()):
+        key = Key(row["experiment"], row["setup"], row["quantity"])
+        figures.append(PrintedFigure(key, float(row["value"]), row["unit"], row["source"]))
+    return tuple(figures)

@@ -93,7 +93,8 @@ def album_of(
     thumbnails = _every(_MOST_THUMBNAILS, [key for key in photographs if key not in told])
     laid = _every(_MOST_LAID, [key for key, photo in photographs.items() if photo.corners_m is not None])
     wanted = [*looks, *(key for key in photographs if key not in looks and key in thumbnails | laid)]
-    size = _size(len(survey.objects))
+    objects = len(survey.objects)
+    size = _FINE if objects <= _FEW else _MEDIUM if objects <= _MANY else _COARSE
     with work("photos read", len(wanted)) as done:
         for key in wanted:
             jpeg = shelves[key[0]].find(photographs[key].taken.shot)
@@ -116,12 +117,6 @@ def album_of(
 def _every(most: int, keys: Sequence[PhotoKey]) -> set[PhotoKey]:
     """All of them, or every second, third and so on, so that at most that many are left."""
     return set(keys[:: max(1, -(-len(keys) // most))])
-
-
-def _size(objects: int) -> Size:
-    if objects <= _FEW:
-        return _FINE
-    return _MEDIUM if objects <= _MANY else _COARSE
 
 
 def _whole(pixels: MatLike, width_px: int) -> Crop:

@@ -62,7 +62,8 @@ def client_document(
     }
     album = album_of(survey, shelves, by_flight)
     drawn = [each.draw(mosaic.jpeg, album, wording.words) for each, mosaic in zip(maps, mosaics, strict=True)]
-    title = wording.title or _title(survey)
+    days = _days(survey)
+    title = wording.title or (f"Inspection of {days}" if days else "Inspection")
     body = element(
         "main",
         element("h1", title, dir="auto"),
@@ -96,11 +97,6 @@ def _colours(theme: Theme) -> str:
 
 
 # --- who, when and where ------------------------------------------------------------------------------------
-
-
-def _title(survey: Survey) -> str:
-    days = _days(survey)
-    return f"Inspection of {days}" if days else "Inspection"
 
 
 def _facts(survey: Survey, maps: Sequence[SiteMap]) -> Markup:
@@ -151,11 +147,11 @@ def _dates(survey: Survey) -> str:
 
 
 def _began(flight: Flown) -> datetime | None:
-    return flight.record.found.time_of_day(flight.record.began_s)
+    return flight.record.flight.time_of_day(flight.record.began_s)
 
 
 def _ended(flight: Flown) -> datetime | None:
-    return flight.record.found.time_of_day(flight.record.began_s + flight.record.result.mission_time_s)
+    return flight.record.flight.time_of_day(flight.record.began_s + flight.record.result.mission_time_s)
 
 
 def _where(survey: Survey, site: SiteMap) -> str:
@@ -168,7 +164,7 @@ def _where(survey: Survey, site: SiteMap) -> str:
 
 
 def _flown_by(flight: Flown) -> str:
-    drone = printable(flight.record.drone, _LONGEST_LABEL)
+    drone = printable(flight.record.drone or "", _LONGEST_LABEL)
     return f"{drone} ({flight.vehicle})" if drone and flight.vehicle else drone or flight.vehicle
 
 

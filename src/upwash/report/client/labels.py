@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 _CELL = 4.0  # of what is taken
 _NEAREST, _FARTHEST, _STEP = 6.0, 150.0, 9.0  # from a point to its label's edge
@@ -12,9 +12,8 @@ _WAYS = 16  # around a point
 _POINT = 6.0  # around it, which no label covers
 
 
-@dataclass(frozen=True, slots=True)
-class Label:
-    """The middle of a label."""
+class Spot(NamedTuple):
+    """A place on the map."""
 
     x: float
     y: float
@@ -25,14 +24,14 @@ def place_labels(
     sizes: Sequence[tuple[float, float]],
     room: tuple[float, float],
     taken: Sequence[tuple[float, float, float, float]] = (),
-) -> list[Label | None]:
-    """A label of each size for each point, None where there is no place for it.
+) -> list[Spot | None]:
+    """The middle of a label of each size for each point, None where there is no place for it.
 
     `room` is the map's width and height; `taken` has parts of it, left, top, right and bottom.
     """
     cells = {cell for x, y in points for cell in _cells(x - _POINT, y - _POINT, x + _POINT, y + _POINT)}
     cells.update(cell for box in taken for cell in _cells(*box))
-    labels: list[Label | None] = []
+    labels: list[Spot | None] = []
     for point, (width, height) in zip(points, sizes, strict=True):
         chosen = None
         for x, y in _around(point, width, height):
@@ -42,7 +41,7 @@ def place_labels(
             own = set(_cells(*box))
             if own.isdisjoint(cells):
                 cells |= own
-                chosen = Label(x, y)
+                chosen = Spot(x, y)
                 break
         labels.append(chosen)
     return labels

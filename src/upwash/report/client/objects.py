@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 
 from upwash.report.client.album import Album
 from upwash.report.client.sitemap import ink_on
@@ -32,8 +33,7 @@ def draw_objects(survey: Survey, album: Album, words: Words) -> Iterator[Markup]
     if not pictured:
         yield element("p", "The photos are not part of this document.", class_="soft")
         return
-    drawn = _Cards(survey, album, words)
-    cards = element("div", *map(drawn.card, pictured), class_="objects")
+    cards = element("div", *map(_Cards(survey, album, words).card, pictured), class_="objects")
     lacking = len(survey.objects) - len(pictured)
     note = f"{counted(lacking, 'object')} without a picture: see the table." if lacking else ""
     yield _section("Each object", element("p", note, class_="soft") if note else Markup(), cards)
@@ -71,22 +71,16 @@ def _by_label(survey: Survey, words: Words) -> Markup:
         for word in ordered[:_MOST_LABELS]
     ]
     more = len(ordered) - len(rows)
-    note = (
-        element("p", f"{counted(more, 'label')} more: see the next table.", class_="soft")
-        if more
-        else Markup()
-    )
+    note = element("p", f"{counted(more, 'label')} more: see the next table.", class_="soft")
     heads = ["Label", *(["Severity"] if rank else []), "Objects", "Numbers"]
-    return joined(_whole("Objects by label", heads, rows), note)
+    return joined(_whole("Objects by label", heads, rows), *([note] if more else []))
 
 
 def _table(survey: Survey, album: Album, words: Words) -> Markup:
     severity = ["Severity"] if words.severities else []
     ground = ["Ground"] if survey.knows_the_ground else []
-    rows = [
-        _row(each, words, ground=bool(ground), linked=album.shows(each))
-        for each in survey.objects[:_MOST_ROWS]
-    ]
+    shown = survey.objects[:_MOST_ROWS]
+    rows = [_row(each, words, ground=bool(ground), linked=album.shows(each)) for each in shown]
     figures = ["Score", "Latitude", "Longitude", "East", "North", "Radius", "Sightings", "Altitude"]
     heads = ["No.", "Label", *severity, *figures, *ground]
     said = [
@@ -120,11 +114,10 @@ def _row(each: Inspected, words: Words, *, ground: bool, linked: bool) -> Markup
     ]
     if ground:
         figures.append(_metres(finding.own.position.altitude_m) if finding.own else "")
+    name = element("a", each.name, href=f"#object-{each.name}") if linked else each.name
     return element(
         "tr",
-        element(
-            "th", element("a", each.name, href=f"#object-{each.name}") if linked else each.name, scope="row"
-        ),
+        element("th", name, scope="row"),
         element("td", _worded(word.name), *_note(found), class_="words"),
         *([element("td", _worded(word.severity), class_="words")] if words.severities else []),
         *(element("td", figure, class_="figures") for figure in figures),
@@ -139,18 +132,18 @@ def _whole(caption: str, heads: Sequence[str], rows: Sequence[Markup]) -> Markup
 # --- each object --------------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True, slots=True)
 class _Cards:
     """Draws objects with their pictures; a photo that several objects are on is in the document once."""
 
-    def __init__(self, survey: Survey, album: Album, words: Words) -> None:
-        self._survey = survey
-        self._album = album
-        self._words = words
-        self._drawn: set[str] = set()
+    survey: Survey
+    album: Album
+    words: Words
+    drawn: set[str] = field(default_factory=set)
 
     def card(self, each: Inspected) -> Markup:
         """An object: its surest sighting, the best other one beside it, and the whole photo."""
-        word = self._words.of(each.found.finding.what)
+        word = self.words.of(each.found.finding.what)
         severity = [element("span", _worded(word.severity), class_="severity")] if word.severity else []
         figures = [self._crop(each, index, look) for index, look in enumerate(each.looks)]
         return element(
@@ -166,20 +159,20 @@ class _Cards:
         )
 
     def _crop(self, each: Inspected, index: int, look: Look) -> Markup:
-        crop, box = self._album.crops.get((each.name, index)), look.finding.box
+        crop, box = self.album.crops.get((each.name, index)), look.finding.box
         if crop is None or box is None:
             return Markup()
         score = f", {_percent(look.finding.score)}" if look.finding.score is not None else ""
         drawn = outlined(box, crop, f"crop-{each.name}-{index}")
-        return _figure(drawn, f"{look.title}: {self._survey.taken(look.photo)}{score}")
+        return _figure(drawn, f"{look.title}: {self.survey.taken(look.photo)}{score}")
 
     def _photo(self, look: Look) -> Iterator[Markup]:
-        photo, box = self._album.photos.get(look.photo), look.finding.box
+        photo, box = self.album.photos.get(look.photo), look.finding.box
         if photo is not None and box is not None:
             name = "photo-{}-{}".format(*look.photo)
-            drawn = outlined(box, photo, name, again=name in self._drawn)
-            self._drawn.add(name)
-            yield _figure(drawn, f"The whole of {self._survey.named(look.photo)}")
+            drawn = outlined(box, photo, name, again=name in self.drawn)
+            self.drawn.add(name)
+            yield _figure(drawn, f"The whole of {self.survey.named(look.photo)}")
 
 
 def _facts(each: Inspected) -> Iterator[str]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from upwash.core.geo import Position
 from upwash.report.client.album import Album
-from upwash.report.client.labels import Label, place_labels
+from upwash.report.client.labels import Spot, place_labels
 from upwash.report.client.mosaic import Bounds
 from upwash.report.client.survey import Inspected, Photograph, Survey
 from upwash.report.client.words import Words
@@ -67,30 +67,11 @@ def sites_of(survey: Survey) -> list[Site]:
     return [Site(first, flights) for first, flights in sites]
 
 
-@dataclass(frozen=True, slots=True)
-class _Sheet:
-    """Where places are on the map, in its units."""
-
-    bounds: Bounds
-
-    @property
-    def scale(self) -> float:
-        """Units of a metre."""
-        return min(_WIDE / self.bounds.width_m, (_HIGH - _FOOT) / self.bounds.height_m)
-
-    @property
-    def size(self) -> tuple[float, float]:
-        """Width and height."""
-        return self.scale * self.bounds.width_m, self.scale * self.bounds.height_m
-
-    def at(self, place_m: tuple[float, float]) -> tuple[float, float]:
-        """The place, to the right and down."""
-        east_m, north_m = place_m
-        return self.scale * (east_m - self.bounds.west_m), self.scale * (self.bounds.north_m - north_m)
-
-
 class SiteMap:
-    """A site on a plane in metres; `photographed` is the ground on the photos, None if unknown."""
+    """A site on a plane in metres; `photographed` is the ground on the photos, None if unknown.
+
+    A metre of the ground is `scale` units of the map.
+    """
 
     def __init__(self, survey: Survey, site: Site) -> None:
         self._survey = survey
@@ -101,6 +82,13 @@ class SiteMap:
         self.photographed = _around(corners)
         spots = [spot for photo in self.photographs if (spot := self._taken_at_m(photo)) is not None]
         self.bounds = _bounds(_around([*corners, *spots]), [self._place_m(each) for each in self.objects])
+        self.scale = min(_WIDE / self.bounds.width_m, (_HIGH - _FOOT) / self.bounds.height_m)
+        self._size = self.scale * self.bounds.width_m, self.scale * self.bounds.height_m
+
+    def _at(self, place_m: tuple[float, float]) -> tuple[float, float]:
+        """Where the place is on the map, to the right and down."""
+        east_m, north_m = place_m
+        return self.scale * (east_m - self.bounds.west_m), self.scale * (self.bounds.north_m - north_m)
 
     def _corners_m(self, photo: Photograph) -> list[tuple[float, float]]:
         return self._survey.corners_m(photo, self.site.first)
@@ -127,12 +115,11 @@ class SiteMap:
 
     def draw(self, mosaic: bytes | None, album: Album, words: Words) -> DrawnMap:
         """The map over the mosaic of the photos; missing photos are outlines, and photos without corners dots."""
-        sheet = _Sheet(self.bounds)
-        width, height = sheet.size
-        points, beyond = self._points(sheet)
+        width, height = self._size
+        points, beyond = self._points()
         size = _LARGE if len(points) <= _MANY else _SMALL
         sizes = [(0.62 * size * len(point.object.name) + 0.7 * size, 1.25 * size) for point in points]
-        labels = place_labels([(point.x, point.y) for point in points], sizes, sheet.size)
+        labels = place_labels([(point.x, point.y) for point in points], sizes, self._size)
         numbered = [
             _numbered(point, label, size, wide_high, words, linked=album.shows(point.object))
             for point, label, wide_high in zip(points, labels, sizes, strict=True)
@@ -143,14 +130,14 @@ class SiteMap:
             element("clipPath", element("rect", width=width, height=height), id=frame),
             element(
                 "g",
-                *self._ground(sheet, mosaic, album),
+                *self._ground(mosaic, album),
                 *(_ring(point, words) for point in points),
                 clip_path=f"url(#{frame})",
             ),
             element("rect", width=width, height=height, class_="frame"),
             *(line for lines, _ in numbered for line in lines),
             *(mark for _, mark in numbered),
-            _scale(sheet.scale, height),
+            _scale(self.scale, height),
             _north(width, height),
             xmlns="http://www.w3.org/2000/svg",
             viewBox=f"-1 -1 {width + 2:.1f} {height + _FOOT + 2:.1f}",
@@ -160,29 +147,29 @@ class SiteMap:
         )
         return DrawnMap(svg, beyond, sum(label is None for label in labels))
 
-    def _points(self, sheet: _Sheet) -> tuple[list[_Point], list[str]]:
+    def _points(self) -> tuple[list[_Point], list[str]]:
         """The objects on the map, and the names of those beyond it."""
         points, beyond = [], []
         for each in self.objects:
-            x, y = sheet.at(self._place_m(each))
+            x, y = self._at(self._place_m(each))
             error_m = each.found.finding.error_m
-            if 0 <= x <= sheet.size[0] and 0 <= y <= sheet.size[1]:
-                points.append(_Point(x, y, None if error_m is None else sheet.scale * error_m, each))
+            if 0 <= x <= self._size[0] and 0 <= y <= self._size[1]:
+                points.append(_Point(x, y, None if error_m is None else self.scale * error_m, each))
             else:
                 beyond.append(each.name)
         return points, beyond
 
-    def _ground(self, sheet: _Sheet, mosaic: bytes | None, album: Album) -> Iterator[Markup]:
-        width, height = sheet.size
+    def _ground(self, mosaic: bytes | None, album: Album) -> Iterator[Markup]:
+        width, height = self._size
         if mosaic is not None:
             size = {"width": width, "height": height}
             yield element("image", href=in_document(mosaic), **size, preserveAspectRatio="none")
         for photo in self.photographs:
             if photo.corners_m is not None and photo.key in album.missing:
-                corners = " ".join("{:.1f},{:.1f}".format(*sheet.at(each)) for each in self._corners_m(photo))
+                corners = " ".join("{:.1f},{:.1f}".format(*self._at(each)) for each in self._corners_m(photo))
                 yield element("polygon", points=corners, class_="ground" if mosaic else "ground bare")
             elif photo.corners_m is None and (spot := self._taken_at_m(photo)) is not None:
-                x, y = sheet.at(spot)
+                x, y = self._at(spot)
                 yield element("circle", cx=x, cy=y, r=2.5, class_="spot")
 
 
@@ -236,7 +223,7 @@ def _ring(point: _Point, words: Words) -> Markup:
 
 def _numbered(
     point: _Point,
-    label: Label | None,
+    label: Spot | None,
     size: float,
     wide_high: tuple[float, float],
     words: Words,
@@ -248,18 +235,19 @@ def _numbered(
     spot = element("circle", cx=point.x, cy=point.y, r=4.5, fill=word.colour, class_="point")
     if label is None:
         return (), spot
-    ends = {"x1": point.x, "y1": point.y, "x2": label.x, "y2": label.y}
+    x, y = label
+    ends = {"x1": point.x, "y1": point.y, "x2": x, "y2": y}
     line = [
         element("line", **ends, class_="halo"),
         element("line", **ends, stroke=word.colour, class_="leader"),
     ]
     wide, high = wide_high
     box = element(
-        "rect", x=label.x - wide / 2, y=label.y - high / 2, width=wide, height=high, rx=high / 2, fill=word.colour,
+        "rect", x=x - wide / 2, y=y - high / 2, width=wide, height=high, rx=high / 2, fill=word.colour,
         class_="number",
     )  # fmt: skip
     number = element(
-        "text", point.object.name, x=label.x, y=label.y + 0.35 * size, font_size=size, fill=ink_on(word.colour),
+        "text", point.object.name, x=x, y=y + 0.35 * size, font_size=size, fill=ink_on(word.colour),
         text_anchor="middle",
     )  # fmt: skip
     if not linked:

@@ -11,7 +11,7 @@ from typing import TypeAlias
 from upwash.core.camera.georeference import Ground
 from upwash.eventlog import schema
 from upwash.eventlog.progress import clock
-from upwash.report.findings import Finding, Pairing, TakenPhoto
+from upwash.report.findings import Finding, TakenPhoto
 from upwash.report.numbering import PlacedFinding, are_a_fleet, offset_m, sureness
 from upwash.report.record import Record, reviewed_of
 from upwash.report.reviewed import Tally
@@ -103,7 +103,7 @@ class Survey:
 
     def offset_m(self, flight: int, first: int) -> tuple[float, float]:
         """Where the flight's home lies, east and north of another flight's."""
-        return offset_m([self.flights[first].record.found, self.flights[flight].record.found], 1)
+        return offset_m([self.flights[first].record.flight, self.flights[flight].record.flight], 1)
 
 
 def survey_of(records: Sequence[Record]) -> Survey:
@@ -145,15 +145,11 @@ def _best_looks(sightings: Sequence[Look], again: Set[PhotoKey]) -> list[Look]:
 
 
 def _flown(index: int, record: Record) -> Flown:
-    pairing, vehicle = Pairing(), ""
-    photographs = []
-    for event in record.events:
-        pairing.take(event)
-        if isinstance(event, schema.VehicleFound):
-            vehicle = f"{event.firmware} {event.type}"
-        elif isinstance(event, schema.PhotoTaken) and (taken := pairing.last) is not None:
-            taken_s = event.t - event.age_s
-            key = index, taken.number
-            time = record.found.time_of_day(taken_s)
-            photographs.append(Photograph(key, taken, taken_s - record.began_s, time, taken.corners_m))
+    found = [event for event in record.events if isinstance(event, schema.VehicleFound)]
+    vehicle = f"{found[-1].firmware} {found[-1].type}" if found else ""
+    photographs, flight = [], record.flight
+    for taken, event in record.photos:
+        taken_s = event.t - event.age_s
+        key, time = (index, taken.number), flight.time_of_day(taken_s)
+        photographs.append(Photograph(key, taken, taken_s - record.began_s, time, taken.corners_m))
     return Flown(record, vehicle, photographs)

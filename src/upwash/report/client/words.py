@@ -57,30 +57,38 @@ def read_words(file: Path) -> Words:
     A semicolon may separate cells, as spreadsheet programs of some languages write them. Raises ConfigError, which
     names the line and what to do.
     """
-    rows = _rows(file)
+    rows, words, lines = _rows(file), dict[str, Word](), dict[str, int]()
     line, header = next(rows, (1, []))
+
+    def require(is_so: bool, problem: str) -> None:
+        if not is_so:
+            raise _problem(file, line, problem)
+
     columns = [cell.lower() for cell in header]
-    if "label" not in columns or not set(columns) <= set(_COLUMNS) or len(set(columns)) < len(columns):
-        found = printable(", ".join(header), _SHOWN) or "nothing"
-        raise _problem(file, line, f"the columns are {found}: name them label, name, severity and colour")
-    words: dict[str, Word] = {}
-    lines: dict[str, int] = {}
+    found = printable(", ".join(header), _SHOWN) or "nothing"
+    are_known = set(columns) <= set(_COLUMNS) and len(set(columns)) == len(columns)
+    problem = f"the columns are {found}: name them label, name, severity and colour"
+    require("label" in columns and are_known, problem)
     for line, row in rows:
-        if len(row) != len(columns):
-            problem = (
-                f"{len(row)} values for {len(columns)} columns: write one each, in quotes if it has commas"
-            )
-            raise _problem(file, line, problem)
+        counts = f"{len(row)} values for {len(columns)} columns"
+        require(len(row) == len(columns), f"{counts}: write one each, in quotes if it has commas")
         facts = dict(zip(columns, row, strict=True))
-        label = facts["label"]
-        if label in words:
-            problem = (
-                f"the label {printable(label, _SHOWN)!r} is on line {lines[label]} too: leave one of them out"
-            )
-            raise _problem(file, line, problem)
-        words[label], lines[label] = _word(file, line, facts), line
-    if not words:
-        raise _problem(file, line, "no rows: add one for each label")
+        label, colour = facts["label"], facts.get("colour", "")
+        again = f"the label {printable(label, _SHOWN)!r} is on line {lines.get(label)} too"
+        require(label not in words, f"{again}: leave one of them out")
+        require(bool(label), "no label: write it as the findings have it")
+        for name, value in facts.items():
+            problem = f"the {name} is longer than {_LONGEST} characters: shorten it"
+            require(len(value) <= _LONGEST, problem)
+        odd = f"{printable(colour, _SHOWN)!r} is no colour: write #rrggbb, such as {LIGHT.alarm}"
+        require(not colour or bool(_COLOUR.fullmatch(colour)), odd)
+        words[label] = Word(
+            printable(facts.get("name", "")) or noun_of(label),
+            printable(facts.get("severity", "")),
+            colour.lower() or LIGHT.alarm,
+        )
+        lines[label] = line
+    require(bool(words), "no rows: add one for each label")
     return Words(words)
 
 
@@ -101,23 +109,6 @@ def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
                 yield reader.line_num, cells
     except csv.Error as error:
         raise _problem(file, reader.line_num, f"{error}: close each quotation mark") from None
-
-
-def _word(file: Path, line: int, facts: Mapping[str, str]) -> Word:
-    label, colour = facts["label"], facts.get("colour", "")
-    if not label:
-        raise _problem(file, line, "no label: write it as the findings have it")
-    for name, value in facts.items():
-        if len(value) > _LONGEST:
-            raise _problem(file, line, f"the {name} is longer than {_LONGEST} characters: shorten it")
-    if colour and not _COLOUR.fullmatch(colour):
-        problem = f"{printable(colour, _SHOWN)!r} is no colour: write #rrggbb, such as {LIGHT.alarm}"
-        raise _problem(file, line, problem)
-    return Word(
-        printable(facts.get("name", "")) or noun_of(label),
-        printable(facts.get("severity", "")),
-        colour.lower() or LIGHT.alarm,
-    )
 
 
 def _problem(file: Path, line: int, problem: str) -> ConfigError:
