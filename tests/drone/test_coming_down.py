@@ -13,7 +13,7 @@ from upwash.core.geo import Position
 from upwash.core.vehicle.control import Control, Owner
 from upwash.core.vehicle.return_place import RallyPoints, ReturnPlace
 from upwash.core.vehicle.way_home import ARDUCOPTER, UNKNOWN, EnergyFacts, WayDown, WayHome
-from upwash.drone.homecoming import Homecoming
+from upwash.drone.coming_down import Homecoming
 from upwash.eventlog import schema
 from upwash.ports import ComingDown
 from upwash.sim.journal import MemoryJournal

@@ -238,7 +238,7 @@ def test_calls_that_fail_and_are_never_asked_for_are_no_complaint_of_asyncio(
     async def run() -> None:
         thread, journal = MissionThread(), MemoryJournal()
         journal.begin()
-        offloading: Any = SimpleNamespace(invoke=fail, server_calls=None)
+        offloading: Any = SimpleNamespace(invoke=fail, several=False)
         calls = Calls(thread, offloading, journal, waypoint=lambda: None, photos=AnsweredPhotos())
         detector = make_stub(Detector, lambda *_: None)
 

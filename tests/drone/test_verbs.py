@@ -16,7 +16,7 @@ from upwash.core.planning.stay_or_go import StayRule
 from upwash.core.selection import events
 from upwash.core.vehicle.geofence import Fence, Polygon
 from upwash.core.vehicle.way_home import EnergyFacts
-from upwash.drone.homecoming import Homecoming
+from upwash.drone.coming_down import Homecoming
 from upwash.drone.late_acts import LateActs
 from upwash.drone.legs import Legs
 from upwash.drone.objects import FlightObjects

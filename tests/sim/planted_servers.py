@@ -10,12 +10,12 @@ from tests.sim.planting import planted
 from upwash.core.call.call import Call
 from upwash.core.call.calls import Calls
 from upwash.core.selection.events import RemoteCallFailed, RemoteCallQueued, SelectionEvent
-from upwash.drone import api, flight
+from upwash.drone import api, preparation
 from upwash.eventlog import schema
 from upwash.rpc.service import Patience
 
 
-@planted("an instance that only servers run starts on the drone", flight, "onboard_services")
+@planted("an instance that only servers run starts on the drone", preparation, "onboard_services")
 def starts_all(services: Any, config: Any, specs: Any, *others: Any) -> Any:
     return services(config, {name: replace(spec, where="anywhere") for name, spec in specs.items()}, *others)
 

@@ -18,7 +18,7 @@ from upwash.core.vehicle.telemetry import Telemetry
 from upwash.core.vehicle.way_home import EnergyFacts, WayHome
 from upwash.drone import coming_down as safety
 from upwash.drone import flight as drone
-from upwash.drone.homecoming import Homecoming
+from upwash.drone.coming_down import Homecoming
 from upwash.eventlog import schema
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.vehicle_link import ModelVehicleLink

@@ -169,7 +169,6 @@ def daemon_config(document: Document, file: Path) -> DaemonConfig:
 
 
 def _written_out(document: Document, folder: Path) -> Document:
-    """A server that names no images has all; files of programs count from the folder."""
     services, servers = document.get("service"), document.get("server")
     if not isinstance(services, list) or not isinstance(servers, list):
         return document

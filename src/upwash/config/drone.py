@@ -372,7 +372,6 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     @property
     def _is_of_today(self) -> bool:
-        """Whether the policy has more than the thesis's defaults."""
         return self.name == "look-ahead" or is_own(self.name)
 
 

@@ -120,7 +120,6 @@ def _one(config: DroneConfig, drone: FleetDroneConfig, number: int) -> DroneConf
 
 
 def _mission(config: DroneConfig, drone: FleetDroneConfig, number: int) -> MissionConfig:
-    """The file's mission with the drone's waypoints and sweep; its own plan says how high and how fast."""
     mission = config.mission
     if mission.order == "by-index":
         mission = replace(mission, order=number % SWEEPS)

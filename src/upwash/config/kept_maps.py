@@ -9,7 +9,7 @@ from __future__ import annotations
 import errno
 import itertools
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
@@ -63,11 +63,9 @@ class _KeptMap(NamedFile, Generic[T]):
         self._fields, self._damage = self._read()
 
     def __eq__(self, other: object) -> bool:
-        """Whether it is the same file with the same content."""
         return isinstance(other, _KeptMap) and (self.file, self._fields) == (other.file, other._fields)
 
     def __hash__(self) -> int:
-        """By the file."""
         return hash(self.file)
 
     @property
@@ -81,16 +79,19 @@ class _KeptMap(NamedFile, Generic[T]):
         )
 
     def _around(self, home: GeoPosition | None) -> Iterator[tuple[T, Position]]:
-        """What was found in the fields that the home lies in, and where their homes are from it."""
         for its_home, found in self._fields:
             if (at := _shift(its_home, home)) is not None:
                 yield found, at
 
     def _write(self, home: GeoPosition | None, found: T) -> None:
         """Write what the file keeps, without the oldest fields if it would be too large; raises NotWritten."""
-        elsewhere = [field for field in self._fields if _shift(field[0], home) is None][:_MOST_FIELDS]
-        at = None if home is None else HomeConfig.at(home)
-        while len(encoded := self._encoded([(at, found), *elsewhere])) >= _MOST_BYTES:
+        here = {self._mark: 1, "home": home and HomeConfig.at(home), self._found: found}
+        elsewhere = [
+            {"home": its_home, self._found: its}
+            for its_home, its in self._fields
+            if _shift(its_home, home) is None
+        ][:_MOST_FIELDS]
+        while len(encoded := _encoded(here | {"elsewhere": elsewhere})) >= _MOST_BYTES:
             if not elsewhere:
                 raise NotWritten(self.file, OSError(errno.EFBIG, os.strerror(errno.EFBIG)), "it is unchanged")
             elsewhere.pop()
@@ -102,13 +103,7 @@ class _KeptMap(NamedFile, Generic[T]):
             raise NotWritten(self.file, problem, "it is unchanged") from error
         write_file(self.file, encoded + b"\n")
 
-    def _encoded(self, fields: Iterable[tuple[HomeConfig | None, T]]) -> bytes:
-        here, *elsewhere = ({"home": home, self._found: found} for home, found in fields)
-        content = {self._mark: 1, **here, "elsewhere": elsewhere}
-        return msgspec.json.format(msgspec.json.encode(content), indent=1)
-
     def _read(self) -> tuple[list[tuple[HomeConfig | None, T]], str]:
-        """The fields in the file as it is now, and how it was damaged."""
         content = b""
         try:
             content = read_file(self.file, most_bytes=_MOST_BYTES)
@@ -117,26 +112,15 @@ class _KeptMap(NamedFile, Generic[T]):
         except FileNotFoundError:
             return [], ""
         except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-            if self._was_ours(content):
-                return [], str(error) if content.strip(b"\0") else "nothing is in it"
+            written = content.strip(b"\0")  # a power cut leaves zeros
+            begins, ours = b"".join(written[:100].split()), f'{{"{self._mark}":'.encode()
+            if begins.startswith(ours) or ours.startswith(begins):
+                return [], str(error) if written else "nothing is in it"
             problem = f"no {self._name} of upwash: {error}: restore the file, or delete it to begin anew"
-            raise ConfigError(str(self.file), "", problem) from None
         except (OSError, ValueError) as error:
             why = why_unreadable(error)
             problem = f"cannot be read ({why}): name a readable file, or delete this one to begin anew"
-            raise ConfigError(str(self.file), "", problem) from None
-
-    def _was_ours(self, content: bytes) -> bool:
-        """Whether it begins as a file of the map does, or has the zeros that a power cut leaves."""
-        begins = b"".join(content.strip(b"\0")[:100].split())
-        ours = f'{{"{self._mark}":'.encode()
-        return begins.startswith(ours) or ours.startswith(begins)
-
-
-def _moved(east_m: float, north_m: float, by: Position) -> Position | None:
-    """A field's place from the mission's home; None beyond the farthest position."""
-    east_m, north_m = east_m + by.east_m, north_m + by.north_m
-    return Position(east_m, north_m) if max(abs(east_m), abs(north_m)) <= FARTHEST_M else None
+        raise ConfigError(str(self.file), "", problem)
 
 
 def _shift(before: HomeConfig | None, home: GeoPosition | None) -> Position | None:
@@ -147,14 +131,26 @@ def _shift(before: HomeConfig | None, home: GeoPosition | None) -> Position | No
     return at if ground_distance_m(at, Position(0.0, 0.0)) <= _FIELD_M else None
 
 
+def _encoded(content: object) -> bytes:
+    return msgspec.json.format(msgspec.json.encode(content), indent=1)
+
+
 def _aside(file: Path) -> Path:
     names = (file.with_name(f"{file.name}.damaged{number or ''}") for number in itertools.count())
     return next(name for name in names if not os.path.lexists(name))
 
 
-class _Demands(Struct, forbid_unknown_fields=True):
+class _Place(Struct, forbid_unknown_fields=True):
     east_m: Metres
     north_m: Metres
+
+    def seen_from(self, field: Position) -> Position | None:
+        """Where it is from the mission's home, if that is `field` from here; None beyond the farthest position."""
+        east_m, north_m = self.east_m + field.east_m, self.north_m + field.north_m
+        return Position(east_m, north_m) if max(abs(east_m), abs(north_m)) <= FARTHEST_M else None
+
+
+class _Demands(_Place, forbid_unknown_fields=True):
     answers: _Answers
     demands: _Answers
     flights_ago: _Count = 0
@@ -178,15 +174,10 @@ class DemandFile(_KeptMap[Sequence[_Demands]]):
     def places(self, home: GeoPosition | None) -> list[DemandPlace]:
         """The places of earlier flights' answers around that home, at the beginning of the next flight."""
         return [
-            DemandPlace(
-                position,
-                answers=place.answers,
-                demands=min(place.demands, place.answers),
-                flights_ago=place.flights_ago,
-            ).faded()
-            for places, its_home in self._around(home)
+            DemandPlace(at, place.answers, min(place.demands, place.answers), place.flights_ago).faded()
+            for places, field in self._around(home)
             for place in places
-            if (position := _moved(place.east_m, place.north_m, its_home)) is not None
+            if (at := place.seen_from(field)) is not None
         ]
 
     def keep(self, known: DemandMap, home: GeoPosition | None) -> None:
@@ -194,17 +185,12 @@ class DemandFile(_KeptMap[Sequence[_Demands]]):
 
         Places that no flight had an answer from for five flights are forgotten.
         """
-        places = [
-            _Demands(
-                round(place.position.east_m, 2),
-                round(place.position.north_m, 2),
-                round(place.answers, 4),
-                round(place.demands, 4),
-                place.flights_ago,
-            )
-            for place in known.places()
-            if place.flights_ago <= FORGOTTEN_AFTER
-        ]
+        places = []
+        for place in known.places():
+            if place.flights_ago <= FORGOTTEN_AFTER:
+                east_m, north_m = round(place.position.east_m, 2), round(place.position.north_m, 2)
+                answers, demands = round(place.answers, 4), round(place.demands, 4)
+                places.append(_Demands(east_m, north_m, answers, demands, place.flights_ago))
         self._write(home, places)
 
 
@@ -215,9 +201,7 @@ class _Calls(Struct, forbid_unknown_fields=True):
     came_to_s: Annotated[Sequence[_Amount], Meta(min_length=1, max_length=WINDOW_LENGTH)]
 
 
-class _Measured(Struct, forbid_unknown_fields=True):
-    east_m: Metres
-    north_m: Metres
+class _Measured(_Place, forbid_unknown_fields=True):
     tried: _Count
     answered: _Count
     bits: _Amount = 0.0
@@ -244,10 +228,10 @@ class CoverageFile(_KeptMap[Mapping[str, Sequence[_Measured]]]):
     def places(self, home: GeoPosition | None) -> dict[str, list[MeasuredPlace]]:
         """What earlier flights measured of each server, around that home; new values at each call."""
         found: dict[str, list[MeasuredPlace]] = {}
-        for servers, its_home in self._around(home):
+        for servers, field in self._around(home):
             for server, places in servers.items():
                 known = found.setdefault(server, [])
-                known += (place for entry in places if (place := _place(entry, its_home)) is not None)
+                known += (_place(each, at) for each in places if (at := each.seen_from(field)) is not None)
         return found
 
     def keep(self, coverage: Coverage, home: GeoPosition | None) -> None:
@@ -263,10 +247,7 @@ class CoverageFile(_KeptMap[Mapping[str, Sequence[_Measured]]]):
         self._write(home, servers)
 
 
-def _place(entry: _Measured, home: Position) -> MeasuredPlace | None:
-    position = _moved(entry.east_m, entry.north_m, home)
-    if position is None:
-        return None
+def _place(entry: _Measured, position: Position) -> MeasuredPlace:
     return MeasuredPlace(
         position,
         tried=max(entry.tried, entry.answered),
@@ -275,12 +256,16 @@ def _place(entry: _Measured, home: Position) -> MeasuredPlace | None:
         transfer_s=entry.transfer_s,
         flights_ago=entry.flights_ago + 1,
         came_to_s={
-            Operation(calls.service, calls.method, calls.key): tuple(calls.came_to_s) for calls in entry.calls
+            Operation(each.service, each.method, each.key): tuple(each.came_to_s) for each in entry.calls
         },
     )
 
 
 def _entry(place: MeasuredPlace) -> _Measured:
+    calls = [
+        _Calls(each.service, each.method, each.key, [round(delay_s, 4) for delay_s in came_to_s])
+        for each, came_to_s in place.came_to_s.items()
+    ]
     return _Measured(
         east_m=round(place.position.east_m, 2),
         north_m=round(place.position.north_m, 2),
@@ -289,13 +274,5 @@ def _entry(place: MeasuredPlace) -> _Measured:
         bits=place.bits,
         transfer_s=round(place.transfer_s, 4),
         flights_ago=place.flights_ago,
-        calls=[
-            _Calls(
-                operation.service,
-                operation.method,
-                operation.key,
-                [round(delay_s, 4) for delay_s in came_to_s],
-            )
-            for operation, came_to_s in place.came_to_s.items()
-        ],
+        calls=calls,
     )

@@ -53,7 +53,6 @@ def _unknown(why: str) -> PhotoGround:
 
 
 def _side_px(camera: CameraConfig) -> float:
-    """The side of a photo that lies along the flight, in pixels."""
     width_px, height_px = camera.photo_px or (0, 0)
     turned_deg = abs(camera.yaw_deg)
     if turned_deg not in (0, 90, 180):

@@ -24,7 +24,6 @@ from upwash.core.geo import (
     Measured,
     Position,
     Reach,
-    Via,
     Waypoint,
     ground_distance_m,
     part_way,
@@ -52,16 +51,6 @@ def waypoints(mission: MissionConfig) -> tuple[Waypoint, ...]:
     return tuple(Waypoint(index, spot, row_end=end) for index, (spot, end) in enumerate(spots))
 
 
-def leaving(mission: MissionConfig) -> tuple[Via, ...]:
-    """The places of a plan that the drone flies to after its last waypoint: those after its last photo."""
-    return planned_photos(mission).leaving
-
-
-def planned_way(mission: MissionConfig) -> tuple[Position, ...]:
-    """The places of a plan between which a drone that photographs in flight flies straight."""
-    return planned_photos(mission).way
-
-
 def corners(mission: MissionConfig, plan: FlightPlan) -> tuple[Waypoint, ...]:
     """The plan's waypoints, with a photo or without."""
     frame = _frame(mission.home)
@@ -84,7 +73,6 @@ def _places(mission: MissionConfig) -> list[Position]:
 
 
 def _spots(start: Position, end: Position, every_m: float) -> Iterator[Position]:
-    """The places of photos along a row: its start, and each `every_m` from there."""
     length_m = ground_distance_m(start, end)
     yield start
     for number in range(1, math.floor(length_m / every_m + _LAST_SPOT) + 1):
@@ -147,17 +135,16 @@ def file_notices(config: DroneConfig) -> list[str]:
 
     Each is a sentence with the file, a plan's items, and the reason.
     """
-    files = [config.mission.plan, *(drone.plan for drone in config.drones)]
     maps = (config.network.coverage_map, config.policy.demand_map)
-    damaged = (kept.notice for kept in maps if kept is not None and kept.notice)
-    plans = (
-        f"{file.file}: {notice}"
-        for file in files
-        if file is not None
-        for notice in file.plan.notices
-        if config.mission.photos is None or not notice.only_without_photos
-    )
-    return list(dict.fromkeys((*damaged, *plans)))
+    found = [kept.notice for kept in maps if kept is not None and kept.notice]
+    plans = (config.mission.plan, *(drone.plan for drone in config.drones))
+    for file in filter(None, plans):
+        found += (
+            f"{file.file}: {notice}"
+            for notice in file.plan.notices
+            if config.mission.photos is None or not notice.only_without_photos
+        )
+    return list(dict.fromkeys(found))
 
 
 def altitudes_above_sea(mission: MissionConfig) -> FlightPlan | None:
@@ -170,7 +157,7 @@ def altitudes_above_sea(mission: MissionConfig) -> FlightPlan | None:
 
 def is_planned_home(mission: MissionConfig, plan: FlightPlan) -> bool:
     """Whether the mission's home is the plan's."""
-    return (None if plan.home is None else HomeConfig.at(plan.home)) == mission.home
+    return (plan.home and HomeConfig.at(plan.home)) == mission.home
 
 
 def ending(mission: MissionConfig) -> Ending:
@@ -222,28 +209,26 @@ def coverage_of(config: DroneConfig) -> Coverage | None:
     servers, file = measured_servers(config), config.network.coverage_map
     if not servers:
         return None
-    known = file.places(_around(config.mission)) if file is not None else {}
+    known = file.places(_centre(config.mission)) if file is not None else {}
     return Coverage({server: known.get(server, ()) for server in servers})
 
 
 def coverage_kept(config: DroneConfig, coverage: Coverage) -> None:
     """Writes the map to its file, where the configuration names one; raises NotWritten."""
-    file = config.network.coverage_map
-    if file is not None:
-        file.keep(coverage, _around(config.mission))
+    if config.network.coverage_map is not None:
+        config.network.coverage_map.keep(coverage, _centre(config.mission))
 
 
 def demand_map_of(config: DroneConfig, plan: Sequence[Waypoint]) -> DemandMap | None:
     """Where earlier flights' answers had demands; None where the configuration names no file."""
     file = config.policy.demand_map
-    return None if file is None else DemandMap(file.places(_around(config.mission)), near_m=near_m(plan))
+    return None if file is None else DemandMap(file.places(_centre(config.mission)), near_m=near_m(plan))
 
 
 def demands_kept(config: DroneConfig, known: DemandMap) -> None:
     """Writes the map to its file, where the configuration names one; raises NotWritten."""
-    file = config.policy.demand_map
-    if file is not None:
-        file.keep(known, _around(config.mission))
+    if config.policy.demand_map is not None:
+        config.policy.demand_map.keep(known, _centre(config.mission))
 
 
 def _reach(server: ServerConfig, config: DroneConfig, radius_m: float | None) -> Reach:
@@ -271,9 +256,8 @@ def frame_of(mission: MissionConfig) -> LocalFrame | None:
     return None if mission.home is None else LocalFrame(mission.home.place)
 
 
-def _around(mission: MissionConfig) -> GeoPosition | None:
-    home = mission.home
-    return home.place if home is not None else None
+def _centre(mission: MissionConfig) -> GeoPosition | None:
+    return None if mission.home is None else mission.home.place
 
 
 def _frame(home: HomeConfig | None) -> LocalFrame:
@@ -283,6 +267,7 @@ def _frame(home: HomeConfig | None) -> LocalFrame:
 
 
 def _grid_places(grid: GridConfig) -> list[tuple[float, float]]:
+    """Where the waypoints are, in the order of the flight."""
     rows, columns = list(range(grid.rows)), list(range(grid.columns))
     if grid.start.startswith("top"):
         rows.reverse()

@@ -39,8 +39,6 @@ class PlannedPhotos:
 
 @dataclass(frozen=True, slots=True)
 class _Corner:
-    """A waypoint of the plan."""
-
     position: Position
     ground_speed_m_s: float  # of the way there
     above_sea_m: float | None
@@ -48,7 +46,6 @@ class _Corner:
     triggers: tuple[PhotoTrigger, ...]
 
     def via(self) -> Via:
-        """The corner without its photo."""
         return Via(self.position, self.ground_speed_m_s, self.hold_s)
 
 
@@ -63,8 +60,6 @@ class PhotoLeg:
 
 @dataclass(frozen=True, slots=True)
 class _PlannedLeg(PhotoLeg):
-    """A leg of a plan, to the corner of that number."""
-
     corner: int
     trigger: PhotoTrigger
 
@@ -184,7 +179,6 @@ class _Course:
         self.legs = list(self._legs_with_photos())
 
     def photos(self) -> PlannedPhotos:
-        """The spots in the order of the flight, and what comes after them."""
         rows = list(self._rows())
         rests = [0, *(end for _, end in rows)]  # the corners where the drone rests
         waypoints: list[Waypoint] = []
@@ -214,7 +208,6 @@ class _Course:
         )
 
     def least_photos(self) -> float:
-        """How many photos the legs have, those taken at once not counted."""
         return sum(
             (self._reached_m[leg.corner] - self._reached_m[leg.corner - 1]) / leg.step_m for leg in self.legs
         )
@@ -323,7 +316,6 @@ class _Course:
 
 
 def _without_repeats(corners: Iterator[_Corner]) -> Sequence[_Corner]:
-    """The corners; one for those that follow each other at one place."""
     found: list[_Corner] = []
     for corner in corners:
         if found and distance_m(found[-1].position, corner.position) < _SAME_PLACE_M:

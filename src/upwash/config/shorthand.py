@@ -76,13 +76,11 @@ def _with_program_from(table: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _with_path_from(table: dict[str, Any], key: str, folder: Path) -> dict[str, Any]:
-    """The table with the file of a class or function, `file.py:Name`, as a path from the folder."""
     name = table.get(key)
     return table | {key: str(folder / name)} if isinstance(name, str) and ".py:" in name else table
 
 
 def _with_film_from(table: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The camera; a device that is a video file as a path from the folder."""
     device = table.get("device")
     if not isinstance(device, str) or not is_file(folder / device):
         return table
@@ -152,7 +150,6 @@ def _nested(times: object, services: dict[str, dict[str, Any]]) -> object:
 
 
 def _keys(service: dict[str, Any]) -> list[str]:
-    """The profile keys of a service; "" is that of one without any."""
     local_call_s = service.get("local_call_s")
     return list(local_call_s) if isinstance(local_call_s, dict) else [""]
 

@@ -162,7 +162,6 @@ def _read(file: Path, _stamp: Stamp, kinds: _Kinds) -> Trace:
 
 
 def _lines(file: Path) -> Iterator[tuple[int, list[str]]]:
-    """The number and the cells of each line."""
     text = read_named_text(file, most_bytes=_MOST_BYTES)
     for number, line in enumerate(text.splitlines(), start=1):
         if number > _MOST_LINES:
@@ -206,13 +205,13 @@ def _number(file: Path, line: int, name: str, cell: str) -> float:
         number = math.nan
     most = _SIGNED.get(name, _MOST.get(name, _LARGEST))
     least = -most if name in _SIGNED else 0.0
-    if not least <= number <= most:
-        expected = "a number" if name in _SIGNED else "a number of at least 0"
-        if most < _LARGEST:
-            expected = f"a number from {least:g} to {most:g}"
-        raise _problem(file, line, name, f"{printable(cell, _LONGEST)!r}: expected {expected}")
-    return number
+    if least <= number <= most:
+        return number
+    expected = "a number" if name in _SIGNED else "a number of at least 0"
+    if most < _LARGEST:
+        expected = f"a number from {least:g} to {most:g}"
+    raise _problem(file, line, name, f"{printable(cell, _LONGEST)!r}: expected {expected}")
 
 
 def _problem(file: Path, line: int, column: str, problem: str) -> ConfigError:
-    return ConfigError(str(file), ", ".join(filter(None, (f"line {line}", column))), problem)
+    return ConfigError(str(file), ", ".join(filter(None, (line and f"line {line}", column))), problem)

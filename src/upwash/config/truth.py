@@ -104,12 +104,12 @@ def _merged(belief: Times, truth: Times) -> Times:
 def _occupying(server: ServerConfig) -> Times:
     """The processing times, without those that are only believed while the call's delay is true."""
     true_s, delays_s = server.truth.processing_s, server.truth.remote_call_s
+
+    def counts(service: str, key: str) -> bool:
+        return key in true_s.get(service, {}) or key not in delays_s.get(service, {})
+
     return {
-        service: {
-            key: seconds
-            for key, seconds in by_key.items()
-            if key in true_s.get(service, {}) or key not in delays_s.get(service, {})
-        }
+        service: {key: seconds for key, seconds in by_key.items() if counts(service, key)}
         for service, by_key in _merged(server.processing_s, true_s).items()
     }
 

@@ -57,7 +57,6 @@ def _webhook_problem(url: str, has_token: bool) -> str:
 
 
 def _parts(url: str) -> SplitResult | None:
-    """The parts of a URL with a host; None for any other text."""
     try:
         parts = urlsplit(url)
         _ = parts.port  # which raises for any other text

@@ -130,7 +130,6 @@ class AnswerAction(Demand[T]):
             self.rule.answered(self.call.took_s, demanded=demanded, place=place)
 
     def _have_told(self, do: Callable[[], object]) -> None:
-        """Have the mission do that about the answer; it may fly only where it acts."""
         with self.call.thread.only_messages() if self.only_tells else contextlib.nullcontext():
             self.call.look(do)
 

@@ -74,7 +74,6 @@ class BeforeSending:
     async def _reduced(
         self, part: RunningPart, method: Method, request: bytes, within_s: float
     ) -> bytes | str:
-        """The smaller request, or why there is none."""
         try:
             asked = method.request_of_part(request)
             reply = await part.onboard.call(part.name, method.name, asked, timeout_s=within_s, once=True)

@@ -87,7 +87,7 @@ class Calls:
 
     @property
     def _several(self) -> bool:
-        return self.offloading.server_calls is not None
+        return self.offloading.several
 
     def _photo(self, method: Method, request: bytes) -> NumberedPhoto | None:
         try:

@@ -82,7 +82,6 @@ def require_deadlines(
 def _measured(
     config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates
 ) -> tuple[dict[Operation, Deadline], dict[tuple[str, Operation], list[float]]]:
-    """The deadlines of operations, and the measured times of their calls at each server."""
     asked = {service.name: service.deadline for service in config.services if service.deadline is not None}
     deadlines = {
         operation: asked[operation.service]
@@ -102,7 +101,6 @@ def _measured(
 
 
 def _names(name: str, operation: Operation, services: Sequence[ServiceConfig]) -> bool:
-    """Whether a name of a file of times is that of the operation."""
     keys = set(keys_of(name, services))
     return name == str(operation) or bool(
         keys & {(operation.service, key) for key in (operation.key, operation.method, "")}

@@ -13,7 +13,8 @@ from typing import Any
 from msgspec.structs import replace
 
 from upwash.config.drone import DroneConfig
-from upwash.config.places import demand_map_of, ending, geofence, leaving, planned_way, server_areas
+from upwash.config.places import demand_map_of, ending, geofence, server_areas
+from upwash.config.plan_photos import planned_photos
 from upwash.core.camera.georeference import Ground, level_ground
 from upwash.core.geo import Circle, Position, rounded
 from upwash.core.planning.acts import Acts
@@ -26,26 +27,18 @@ from upwash.drone.answered_photos import AnsweredPhotos
 from upwash.drone.answers import AnswerAction
 from upwash.drone.api import Drone, Mission, User
 from upwash.drone.calls import Calls
-from upwash.drone.coming_down import end_safely, follow
+from upwash.drone.coming_down import Homecoming, end_safely, follow
 from upwash.drone.deadlines import require_deadlines
 from upwash.drone.home import planned_home
-from upwash.drone.homecoming import Homecoming
 from upwash.drone.late_acts import LateActs
 from upwash.drone.legs import Legs
 from upwash.drone.mission import MissionThread, mission_failed
 from upwash.drone.objects import FlightObjects
+from upwash.drone.offloading import CallPorts
 from upwash.drone.payload import Payload
 from upwash.drone.photographer import Photographer
 from upwash.drone.places import index_of
-from upwash.drone.preparation import (
-    CallPorts,
-    make_offloading,
-    make_selection,
-    onboard_services,
-    order_of,
-    parts_before_sending,
-    unkept_deadlines,
-)
+from upwash.drone.preparation import make_offloading, make_selection, order_of, unkept_deadlines
 from upwash.drone.reserve import ReserveWatch
 from upwash.drone.rows import Rows
 from upwash.drone.seeking import Seeking
@@ -134,10 +127,7 @@ class Flight:
         self._thread = MissionThread()
         specs = {name: spec_of(cls) for name, cls in services.items()}
         self._order = order or order_of(config, specs)
-        self._unkept = list(unkept_deadlines(config, specs))
-        self._speed_why = speed_why
-        self._done = done
-        self._ordered = ordered
+        self._done, self._ordered = done, ordered
         self._plan = tuple(
             waypoint for waypoint in self._order.waypoints if waypoint.index not in (done or ())
         )
@@ -149,15 +139,17 @@ class Flight:
         self._stop_following = asyncio.Event()
         # The vehicle's, with their times.
         self._last_words: deque[tuple[float, schema.VehicleSaid]] = deque(maxlen=_WORDS_KEPT)
-        self._onboard = onboard_services(config, specs, programs, ports)
         selection = make_selection(config, specs, self._plan, instead=policy)
-        self._promised = require_deadlines(config, specs, selection.estimates, self._plan)
+        self._foreseen: list[schema.Event] = []  # logged before take-off
+        if speed_why:
+            speed_m_s = config.mission.ground_speed_m_s
+            self._foreseen.append(schema.SpeedChosen(ground_speed_m_s=speed_m_s, why=speed_why))
+        self._foreseen += (schema.NoBetterAnswer(why=why) for why in unkept_deadlines(config, specs))
+        promised = require_deadlines(config, specs, selection.estimates, self._plan)
+        self._foreseen += (deadline.event for deadline in promised)
         self.coverage = selection.estimates.coverage  # what is known of servers without a range
         self.demand_map = demand_map_of(config, self._plan)
-        self._before_sending = parts_before_sending(config, specs, parts, ports)
-        self._offloading = make_offloading(
-            config, specs, selection, ports, self._onboard, before_sending=self._before_sending
-        )
+        self._offloading = make_offloading(config, specs, selection, ports, programs=programs, parts=parts)
         self._homecoming = Homecoming(ports.autopilot, ports.journal)
         self._legs = Legs(
             ports.autopilot,
@@ -184,16 +176,9 @@ class Flight:
             self._ports.autopilot.listen(self._hear_vehicle)
             await self._take_vehicle()
             async with self._ending_safely():
-                await self._onboard.start()
-                await self._before_sending.start()
-            journal.record(self._planned())
-            if self._speed_why:
-                speed_m_s = config.mission.ground_speed_m_s
-                journal.record(schema.SpeedChosen(ground_speed_m_s=speed_m_s, why=self._speed_why))
-            for why in self._unkept:
-                journal.record(schema.NoBetterAnswer(why=why))
-            for promised in self._promised:
-                journal.record(promised.event)
+                await self._offloading.start()
+            for event in (self._planned(), *self._foreseen):
+                journal.record(event)
             journal.record(
                 schema.MissionStarted(
                     drone=config.name,
@@ -209,95 +194,77 @@ class Flight:
             self._log_end(schema.MissionEnded(why=_why(error)))
             raise
         finally:
-            await self._release_dead_man()
-            await self._before_sending.close()
-            await self._onboard.close()
+            autopilot = self._ports.autopilot
+            if autopilot.stands or not autopilot.control.is_ours:  # else the switch brings down what hovers
+                await autopilot.dead_man.release()
+            await self._offloading.close()
 
     def _log_end(self, how: schema.MissionCompleted | schema.MissionEnded) -> None:
         self._ports.journal.record(how)
         self.has_ended = True
 
     def _site(self) -> Site:
-        mission = self._config.mission
+        mission, photos = self._config.mission, planned_photos(self._config.mission)
         return Site(
             waypoints=self._plan,
             fences=geofence(mission),
             farthest_start_m=self._config.autopilot.farthest_start_m,
             takeoff_m=mission.altitude_m,
             ending=ending(mission),
-            leaving=leaving(mission),
-            way=planned_way(mission),
+            leaving=photos.leaving,
+            way=photos.way,
             home=planned_home(mission),
         )
 
     def _settles(
         self, specs: Mapping[str, ServiceSpec], selection: Selection, objects: FlightObjects
     ) -> Settling:
-        """How the drone settles its answers: at stops if it makes one call at a time."""
-        config, calls = self._config, self._offloading.server_calls
+        config, offloading, watch = self._config, self._offloading, self._watch
+        acts = Acts[AnswerAction[Any]](
+            self._plan,
+            leaving=[via.position for via in self._legs.site.leaving],
+            ground_speed_m_s=config.mission.ground_speed_m_s,
+            pace=watch.pace,
+            photo_s=config.camera.photo_s,
+            home_s=watch.home_s if ending(config.mission) == "return" else None,
+        )
         about: dict[str, Any] = {
             "legs": self._legs,
             "thread": self._thread,
-            "late": self._late_acts(),
+            "late": LateActs(
+                self._legs,
+                acts,
+                when_to_act=offloading.when_to_act,
+                within_s=config.policy.acts_within_s,
+                home_s=watch.home_s,
+                spare_s=watch.spare_s,
+            ),
             "rule": StayRule(config.policy.stay_or_go, self.demand_map),
             "objects": objects,
-            "outlook": self._offloading.outlook,
+            "outlook": offloading.outlook,
         }
-        if calls is None:
+        if not offloading.several:
             return Stops(**about)
-        return Rows(
-            **about,
-            config=config,
-            servers=None if all(spec.on_drone for spec in specs.values()) else calls,
-            seeking=Seeking(
-                config=config,
-                calls=calls,
-                selection=selection,
-                offloading=self._offloading,
-                legs=self._legs,
-                reserve=self._watch,
-            ),
-        )
-
-    def _late_acts(self) -> LateActs:
-        config, home_s = self._config, self._watch.home_s
-        acts = Acts[AnswerAction[Any]](
-            self._plan,
-            leaving=[via.position for via in leaving(config.mission)],
-            ground_speed_m_s=config.mission.ground_speed_m_s,
-            pace=self._watch.pace,
-            photo_s=config.camera.photo_s,
-            home_s=home_s if ending(config.mission) == "return" else None,
-        )
-        return LateActs(
-            self._legs,
-            acts,
-            when_to_act=self._offloading.when_to_act,
-            within_s=config.policy.acts_within_s,
-            home_s=home_s,
-            spare_s=self._watch.spare_s,
-        )
+        seeking = Seeking(config, selection, offloading, self._legs, watch)
+        asks_servers = not all(spec.on_drone for spec in specs.values())
+        return Rows(**about, config=config, asks_servers=asks_servers, seeking=seeking)
 
     def _planned(self) -> schema.Planned:
-        mission = self._config.mission
-        home = mission.home
+        home, coverage = self._config.mission.home, self.coverage
         order = [waypoint.index for waypoint in self._order.waypoints]
         places = {waypoint.index: waypoint.position for waypoint in self._order.waypoints}
+        areas = server_areas(self._config)
         return schema.Planned(
             home=home.place if home else None,
             waypoints_m=[(places[index].east_m, places[index].north_m) for index in sorted(order)],
             altitudes_m=[places[index].altitude_m for index in sorted(order)],
             order=order if self._order.why else [],
             order_why=self._order.why,
-            ranges={
-                name: area for name, area in server_areas(self._config).items() if isinstance(area, Circle)
-            },
+            ranges={name: area for name, area in areas.items() if isinstance(area, Circle)},
             measured={
-                server: [schema.MeasuredRecord.of(place) for place in self.coverage.places(server)]
-                for server in self.coverage.servers
-            }
-            if self.coverage is not None
-            else {},
+                server: [schema.MeasuredRecord.of(place) for place in coverage.places(server)]
+                for server in (coverage.servers if coverage is not None else ())
+            },
             paced=any(service.local_pace_s for service in self._config.services),
         )
 
@@ -376,7 +343,6 @@ class Flight:
         await self._set_dead_man(flies=flies)
 
     async def _set_dead_man(self, *, flies: bool) -> None:
-        """Arm the dead man's switch; raise if that fails, unless the vehicle is already in flight."""
         settings, journal = self._config.autopilot, self._ports.journal
         if settings.dead_man_s is None or settings.on_failure == "hold":  # no file has both
             return
@@ -392,15 +358,8 @@ class Flight:
                 raise
             journal.record(schema.DeadManFailed(why=str(error)))
 
-    async def _release_dead_man(self) -> None:
-        """Release the dead man's switch, unless it must bring down a hovering vehicle."""
-        autopilot = self._ports.autopilot
-        if autopilot.stands or not autopilot.control.is_ours:
-            await autopilot.dead_man.release()
-
     @contextlib.asynccontextmanager
     async def _ending_safely(self) -> AsyncIterator[None]:
-        """End the flight in the configured action, if the block fails."""
         try:
             yield
         except (Exception, asyncio.CancelledError) as error:
@@ -485,7 +444,6 @@ class Flight:
             await asyncio.sleep(_LOOKS_AGAIN_S)
 
     def _end_unwatched(self, defect: Exception) -> None:
-        """End the mission as at the reserve, because the watch of the reserve failed."""
         why = f"a defect has ended the watch of the reserve: {worded(defect)}"
         trace = "".join(traceback.format_exception(defect))
         self._ports.journal.record(schema.BatteryWatchFailed(why=why, trace=trace))
@@ -502,21 +460,22 @@ class Flight:
     def _drone(self) -> Drone:
         ports, thread, journal = self._ports, self._thread, self._ports.journal
         payload = Payload(ports.autopilot, thread, journal)
+        camera = Photographer(
+            ports.camera,
+            thread,
+            journal,
+            autopilot=ports.autopilot,
+            payload=payload,
+            ground=ports.ground,
+            album=ports.album,
+            photos=self._photos,
+            objects=self._settling.objects,
+        )
         return Drone(
             self._config,
             plan=self._plan,
             autopilot=Vehicle(self._settling, self._homecoming),
-            camera=Photographer(
-                ports.camera,
-                thread,
-                journal,
-                autopilot=ports.autopilot,
-                payload=payload,
-                ground=ports.ground,
-                album=ports.album,
-                photos=self._photos,
-                objects=self._settling.objects,
-            ),
+            camera=camera,
             payload=payload,
             user=User(ports.notifier, thread, self._photos),
             calls=self._calls,

@@ -121,7 +121,6 @@ def _above_home(waypoint: PlannedWaypoint, home_above_sea_m: float) -> PlannedWa
 
 
 def _counted_from_sea(above: FlightPlan, waypoints: Sequence[PlannedWaypoint]) -> Iterator[tuple[str, float]]:
-    """The name of each converted altitude, and its metres above the sea."""
     if above.takeoff_above_sea_m is not None:
         yield "the take-off", above.takeoff_above_sea_m
     for waypoint in waypoints:

@@ -110,7 +110,6 @@ class LateActs:
         return [] if way is None else self.acts.take(way, is_due)
 
     def _way(self, onwards: Onwards) -> Way | None:
-        """None of a drone off its plan."""
         target, ahead, end, rests = onwards
         number = self._numbers.get(target) if isinstance(target, Waypoint) else None
         vehicle = self.legs.autopilot

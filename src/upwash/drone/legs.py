@@ -197,7 +197,6 @@ class Legs:
         return await self._ends_before(*waits) or is_there
 
     async def _passed(self, spot: Position, way: _Way) -> None:
-        """Return when the vehicle, sure of its position, has passed the spot on its way."""
         vehicle, fastest_m_s = self.autopilot, self.ground_speed_m_s or self.default_m_s
         while True:
             left_m = ahead_m(spot, vehicle.position, start=way[0], end=way[1])
@@ -252,6 +251,5 @@ class Legs:
 
 
 def _named(place: Place) -> dict[str, Any]:
-    """The place, as events have it."""
     position = position_of(place)
     return {"waypoint": index_of(place), "east_m": position.east_m, "north_m": position.north_m}

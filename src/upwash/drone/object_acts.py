@@ -95,7 +95,6 @@ class ObjectAct(AnswerAction[Any]):
 
     @property
     def _found(self) -> FoundObject:
-        """The object, by all photos until now."""
         return self._objects.found(self._claim.key)
 
     def _why_not(self) -> str:
@@ -163,7 +162,6 @@ class ObjectAct(AnswerAction[Any]):
 
     @contextlib.contextmanager
     def _under_way(self) -> Iterator[None]:
-        """A block during which photos and calls are of this object."""
         before, self._objects.acting = self._objects.acting, self
         try:
             yield

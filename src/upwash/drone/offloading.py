@@ -12,10 +12,11 @@ import contextlib
 import math
 import traceback
 from collections import defaultdict
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
-from typing import Any, Literal, NoReturn, TypeAlias, TypeVar
+from typing import Any, NoReturn, TypeAlias, TypeVar
+
+from msgspec import Struct
 
 from upwash.core.call import steps
 from upwash.core.call.attempts import Attempt, Computing, hangs_after_s
@@ -27,10 +28,7 @@ from upwash.core.operation import ON_DRONE, Operation
 from upwash.core.planning.acts import LateAct
 from upwash.core.planning.backlog import ServerBelief, Stay
 from upwash.core.planning.stay_or_go import Outlook
-from upwash.core.selection.deadlines import Deadlines
 from upwash.core.selection.events import NoMoreCalls, SelectionEvent
-from upwash.core.selection.hedging import Hedging
-from upwash.core.selection.selection import Selection
 from upwash.core.selection.server_planning import ServerPlanning
 from upwash.drone.before_sending import BeforeSending, NotReduced
 from upwash.drone.looks import Looks
@@ -38,7 +36,6 @@ from upwash.drone.onboard import OnboardServices
 from upwash.drone.own_policy import OwnPolicy
 from upwash.drone.pending import Hearing
 from upwash.drone.radios import RadioWorker, RadioWorkers
-from upwash.drone.server_calls import ServerCalls
 from upwash.drone.server_session import ServerEndpoint, ServerSession
 from upwash.errors import (
     UNREACHED,
@@ -51,7 +48,7 @@ from upwash.errors import (
 )
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
-from upwash.ports import Dialer, Journal, Network, Whereabouts
+from upwash.ports import Dialer, Finder, Journal, Network, Runtime, Whereabouts
 from upwash.rpc.service import Method, NoAnswer, Reply
 from upwash.support.background import begin, end, first, start
 from upwash.support.text import printable, worded
@@ -60,14 +57,24 @@ T = TypeVar("T")
 Work: TypeAlias = Attempt | Computing
 
 
+class CallPorts(Struct, frozen=True, kw_only=True):
+    """The ports that calls need; `networks` has one for each radio, `finder` looks up addresses."""
+
+    autopilot: Whereabouts
+    networks: Sequence[Network]
+    dialer: Dialer
+    onboard_dialer: Dialer
+    onboard_runtime: Runtime
+    journal: Journal
+    finder: Finder | None = None
+
+
 class _Defect(Exception):
     """Deciding has failed in a call that is open."""
 
 
 @dataclass(slots=True, eq=False)
 class _Open:
-    """A call of the mission, and what the program does for it."""
-
     method: Method
     request: bytes
     hearing: Hearing
@@ -80,56 +87,44 @@ class _Open:
     smaller: dict[Attempt, bytes] = field(default_factory=dict)  # requests
 
     def request_of(self, work: Work) -> bytes:
-        """The request of an attempt, as its operation."""
         return self.request_as(work.operation, work.call.asked.operation)
 
     def request_as(self, operation: Operation, asked: Operation) -> bytes:
-        """The request as another operation of the same method."""
         return self.request if operation == asked else self.method.under(operation.key, self.request)
 
 
 class Offloading:
     """Makes one drone's calls, and selects, checks and leaves servers for them.
 
-    Calls are made one at a time. With `first`, the order of waiting calls, several may be open at the same time.
-    `waiting_bytes` has the services that only servers run, with the bound of their waiting requests.
+    Calls are made one at a time. Where they stand in line, `several` may be open at the same time.
     """
 
     def __init__(
         self,
-        selection: Selection,
+        calls: Calls,
         endpoints: Mapping[str, ServerEndpoint],
+        ports: CallPorts,
+        onboard: OnboardServices,
+        before_sending: BeforeSending,
         *,
         period_s: float,
-        autopilot: Whereabouts,
-        networks: Sequence[Network],
-        dialer: Dialer,
-        onboard: OnboardServices,
-        journal: Journal,
-        hedging: Hedging,
-        deadlines: Deadlines,
-        before_sending: BeforeSending,
-        first: Literal["oldest", "newest"] | None = None,
-        waiting_bytes: Mapping[str, int] = MappingProxyType({}),
     ) -> None:
-        self._selection = selection
-        self._autopilot = autopilot
-        self._onboard = onboard
-        self._journal = journal
-        self._before_sending = before_sending
-        self._calls = Calls(selection, hedging, deadlines, first=first, waiting_bytes=waiting_bytes)
+        self._calls, self._selection = calls, (selection := calls.selection)
+        self._autopilot, self._journal = ports.autopilot, ports.journal
+        self._onboard, self._before_sending = onboard, before_sending
+        self.several = calls.lanes.has_line
         self._radios = RadioWorkers(
             [
                 RadioWorker(
                     lambda server: selection.servers[server].in_range,
                     endpoints,
                     network=network,
-                    dialer=dialer,
-                    journal=journal,
+                    dialer=ports.dialer,
+                    journal=ports.journal,
                     tell=self.tell,
-                    told=self._happened,
+                    told=self.happened,
                 )
-                for network in networks
+                for network in ports.networks
             ]
         )
         self._looks = Looks(
@@ -137,10 +132,9 @@ class Offloading:
             lambda: selection.next_look_s(now_s=now_s()),
             [server.area for server in selection.servers.values() if isinstance(server.area, Circle)],
             period_s=period_s,
-            autopilot=autopilot,
-            journal=journal,
+            autopilot=ports.autopilot,
+            journal=ports.journal,
         )
-        self.server_calls = ServerCalls(self, self._happened, selection.estimates.alone_s) if first else None
         self._open: dict[Call, _Open] = {}  # with those whose losers go on
         # Of the calls of each service, where deciding has failed.
         self._alone = defaultdict[str, asyncio.Lock](asyncio.Lock)
@@ -149,6 +143,16 @@ class Offloading:
         self._alarm: asyncio.TimerHandle | None = None
         self._failed = ""  # by what defect
         self._background: asyncio.Task[Any] | None = None
+
+    async def start(self) -> None:
+        """Start the drone's own services; raises InstanceError if one cannot run at all."""
+        await self._onboard.start()
+        await self._before_sending.start()
+
+    async def close(self) -> None:
+        """End the drone's own services."""
+        await self._before_sending.close()
+        await self._onboard.close()
 
     @contextlib.asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
@@ -310,7 +314,6 @@ class Offloading:
         self._ask(lambda: self._handle(steps.News(), now_s()))
 
     def _set_alarm(self) -> None:
-        """Look at the calls when the next of their times is over."""
         due_s = self._calls.due_s
         if self._alarm is not None:
             if self._alarm.when() == due_s:
@@ -323,7 +326,7 @@ class Offloading:
         self._alarm = None
         self._ask(lambda: self._handle(steps.News(), max(due_s, now_s())))
 
-    async def _happened(self) -> None:
+    async def happened(self) -> None:
         """Return after the next event of the core."""
         self._news = self._news or asyncio.Event()
         await self._news.wait()
@@ -403,7 +406,6 @@ class Offloading:
             self._end_alone(work, opened)
 
     def _forget(self, call: Call) -> None:
-        """Forget a call that is over, once nothing goes on for it."""
         opened = self._open.get(call)
         if opened is not None and call.is_over and not opened.tasks:
             del self._open[call]
@@ -450,9 +452,8 @@ class Offloading:
     async def _compute(self, compute: steps.Compute) -> steps.Computed:
         computing, opened = compute.computing, self._open[compute.computing.call]
         try:
-            reply = await self._onboard_reply(
-                opened.method, computing.operation, opened.request_of(computing), compute.timeout_s
-            )
+            request = opened.request_of(computing)
+            reply = await self._onboard_reply(opened.method, computing.operation, request, compute.timeout_s)
         except TransitionError:
             raise
         except UpwashError as error:
@@ -464,18 +465,20 @@ class Offloading:
     async def _onboard_reply(
         self, method: Method, operation: Operation, request: bytes, timeout_s: float
     ) -> Any:
-        return method.decode(
-            await self._onboard.call(
-                operation.service, operation.method, request, timeout_s=timeout_s, once=method.once
-            )
-        )
+        service, name, once = operation.service, operation.method, method.once
+        return method.decode(await self._onboard.call(service, name, request, timeout_s=timeout_s, once=once))
 
     # --- without the core -----------------------------------------------------------------------------------
 
     async def _invoke_alone(self, asked: Asked, opened: _Open) -> Any:
         """Run a call on the drone and decide nothing, where deciding has failed."""
         operation = asked.operation
-        if under_way := [task for task, service in self._computations() if service == operation.service]:
+        if under_way := [
+            task
+            for other in self._open.values()
+            for work, task in other.tasks.items()
+            if isinstance(work, Computing) and work.operation.service == operation.service
+        ]:
             await asyncio.wait(under_way)
         async with self._alone[operation.service]:
             began_s, timeout_s = now_s(), hangs_after_s(self._selection.estimates.local_s(operation))
@@ -484,7 +487,6 @@ class Offloading:
         return reply
 
     def _end_alone(self, computing: Computing, opened: _Open) -> None:
-        """End a call that the drone was computing when deciding failed."""
         if opened.answer.done():
             return
         reply = opened.replies[computing]
@@ -510,15 +512,7 @@ class Offloading:
             )
         )
 
-    def _computations(self) -> Iterator[tuple[asyncio.Task[None], str]]:
-        """The drone's own computations that are under way, each with its service."""
-        for opened in self._open.values():
-            for work, task in opened.tasks.items():
-                if isinstance(work, Computing):
-                    yield task, work.operation.service
-
     def _ask(self, do: Callable[[], T]) -> T | None:
-        """What the core says; None once deciding has failed."""
         if not self._failed:
             try:
                 return do()

@@ -169,7 +169,6 @@ class OwnPolicy:
         return made
 
     def _answer(self, method: str, about: object) -> Any:
-        """The answer of the user's method, or the built-in one where there is no such method."""
         if method not in self._methods:
             return getattr(self._otherwise, method)(about)
         if self._ended is not None:
@@ -231,7 +230,6 @@ class _Other:
 
 
 def _anywhere(program: str) -> str:
-    """The program's name in any working folder."""
     place, colon, name = program.rpartition(":")
     return f"{Path(place).absolute()}{colon}{name}" if place.endswith(".py") else program
 

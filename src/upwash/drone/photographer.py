@@ -89,8 +89,6 @@ class PhotoPose:
 
 @dataclass(frozen=True, slots=True)
 class _Moment:
-    """What the vehicle reported at a moment of the loop's clock."""
-
     at_s: float
     position: Position
     earth: EarthPosition | None
@@ -232,7 +230,6 @@ class Photographer:
     async def _kept(
         self, jpeg: bytes, source: str, earth: EarthPosition | None, geometry: PhotoGeometry | None
     ) -> str:
-        """Keeps the photo, if photos are kept; returns the name of its file, or else its source."""
         if self._album is None:
             return source
         photo = KeptPhoto(jpeg, source, earth)
@@ -252,7 +249,6 @@ class Photographer:
         )
 
     def _geometry(self, photo: Photo, shot: _Moment) -> PhotoGeometry | None:
-        """What decides where the photo's pixels lie; None if the lens or the photo's size is unknown."""
         told, size_px = shot.told, size_of(photo.jpeg) if photo.lens else None
         if photo.lens is None or size_px is None or min(size_px) <= 0:
             return None
@@ -268,7 +264,6 @@ class Photographer:
         )
 
     def _held(self, lens: Lens, told: Telemetry) -> tuple[Lens, Attitude | None]:
-        """The lens as it was mounted, and the attitude of what carries the camera."""
         if not lens.on_gimbal:
             return lens, told.attitude
         if told.gimbal is not None:
@@ -281,13 +276,11 @@ class Photographer:
 
 
 def _sure_sight(geometry: PhotoGeometry) -> Sight | None:
-    """The photo's geometry if nothing of it is assumed."""
     sight = geometry.sight
     return sight if isinstance(sight, Sight) and not sight.assumes else None
 
 
 async def _wait_until(time_s: float) -> float:
-    """Waits, if that time is ahead; returns the time."""
     loop = asyncio.get_running_loop()
     await asyncio.sleep(max(0.0, time_s - loop.time()))
     return loop.time()
@@ -345,7 +338,6 @@ def _fix_m(gps: GpsFix | None) -> float:
 
 
 def _away_m(earth: EarthPosition, place: tuple[float, float]) -> float:
-    """The distance over the ground from the drone to a place in degrees."""
     frame = LocalFrame(GeoPosition(earth.latitude_deg, earth.longitude_deg))
     return ground_distance_m(Position(0.0, 0.0), frame.position(GeoPosition(*place)))
 

@@ -81,7 +81,6 @@ def turns_around(
 
 
 def _turns(way: Sequence[Position], here: Position, target: Position, allows: Allows) -> Sequence[Position]:
-    """Where the way turns between two places."""
     last = _leg_over(way, target)
     if last is None:
         return ()
@@ -94,6 +93,5 @@ def _turns(way: Sequence[Position], here: Position, target: Position, allows: Al
 
 
 def _leg_over(way: Sequence[Position], place: Position) -> int | None:
-    """The number of the way's last leg that passes the place."""
     legs = range(len(way) - 1, 0, -1)
     return next((leg for leg in legs if lies_on(place, way[leg - 1], way[leg])), None)

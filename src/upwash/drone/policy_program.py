@@ -129,7 +129,6 @@ def _decision(facts: _Facts) -> Decision:
 
 
 def _made(make: Make) -> tuple[Any, int]:
-    """The policy of the user, and its horizon; raises UsageError."""
     sys.path.extend(folder for folder in make.path if folder not in sys.path)
     made, name = load(make.program), make.program
     if not callable(made):

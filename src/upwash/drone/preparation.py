@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Literal, get_args
 
-from msgspec import Struct
 from msgspec.structs import replace
 
 from upwash.config.checks import only_on_servers
@@ -15,13 +14,14 @@ from upwash.config.places import (
     coverage_of,
     ending,
     geofence,
-    leaving,
     server_areas,
     stands,
     sweeps_of,
     waypoints,
 )
+from upwash.config.plan_photos import planned_photos
 from upwash.config.values import MDNS
+from upwash.core.call.calls import Calls
 from upwash.core.geo import Position, Waypoint
 from upwash.core.knowledge.estimates import Beliefs, Estimates, offline_remote_s
 from upwash.core.knowledge.sending import Less
@@ -37,12 +37,12 @@ from upwash.core.vehicle.geofence import breached_by_way
 from upwash.core.vehicle.way_home import ARDUCOPTER, PX4, time_home_s
 from upwash.drone.before_sending import BeforeSending, RunningPart
 from upwash.drone.deadlines import make_deadlines
-from upwash.drone.offloading import Offloading
+from upwash.drone.offloading import CallPorts, Offloading
 from upwash.drone.onboard import OnboardServices
 from upwash.drone.own_policy import policy_of
 from upwash.drone.server_session import ServerEndpoint
 from upwash.errors import UsageError
-from upwash.ports import Dialer, Finder, InstanceSpec, Journal, Network, Program, Runtime, Whereabouts
+from upwash.ports import Finder, InstanceSpec, Program
 from upwash.rpc.service import Method, ServiceSpec, spec_of
 from upwash.support.text import counted
 
@@ -80,33 +80,18 @@ def make_selection(
     )
 
 
-class CallPorts(Struct, frozen=True, kw_only=True):
-    """The ports that calls need; `networks` has one for each radio, `finder` looks up addresses."""
-
-    autopilot: Whereabouts
-    networks: Sequence[Network]
-    dialer: Dialer
-    onboard_dialer: Dialer
-    onboard_runtime: Runtime
-    journal: Journal
-    finder: Finder | None = None
-
-
 def onboard_services(
     config: DroneConfig, specs: Mapping[str, ServiceSpec], programs: Mapping[str, Program], ports: CallPorts
 ) -> OnboardServices:
     """The configured services on the drone, which are yet to be started."""
-    return _started_by(
-        ports,
-        config,
-        [
-            InstanceSpec(
-                config.name, service.name, programs[service.name], service.local_pace_s, heats=config.heat
-            )
-            for service in config.services
-            if specs[service.name].on_drone
-        ],
-    )
+    instances = [
+        InstanceSpec(
+            config.name, service.name, programs[service.name], service.local_pace_s, heats=config.heat
+        )
+        for service in config.services
+        if specs[service.name].on_drone
+    ]
+    return _started_by(ports, config, instances)
 
 
 def _started_by(ports: CallPorts, config: DroneConfig, instances: Sequence[InstanceSpec]) -> OnboardServices:
@@ -120,10 +105,9 @@ def _started_by(ports: CallPorts, config: DroneConfig, instances: Sequence[Insta
     )
 
 
-def parts_before_sending(
+def _parts_before_sending(
     config: DroneConfig, specs: Mapping[str, ServiceSpec], programs: Mapping[str, Program], ports: CallPorts
 ) -> BeforeSending:
-    """The parts that may be used."""
     parts = {}
     for service in config.services if config.policy.most_loss else ():
         cls, measured = specs[service.name].before_sending, service.before_sending
@@ -139,30 +123,33 @@ def make_offloading(
     specs: Mapping[str, ServiceSpec],
     selection: Selection,
     ports: CallPorts,
-    onboard: OnboardServices,
     *,
-    before_sending: BeforeSending,
+    programs: Mapping[str, Program],
+    parts: Mapping[str, Program],
     first: Literal["oldest", "newest"] | None = None,
 ) -> Offloading:
-    """What makes the drone's calls; `first` is the order of several that are open, in place of the mission's."""
-    photos = config.mission.photos
+    """What makes the drone's calls; `first` is the order of several that are open, in place of the mission's.
+
+    `programs` and `parts`, those before sending, are by their services' names.
+    """
+    photos, estimates = config.mission.photos, selection.estimates
     waiting_bytes = {
         service.name: service.waiting_bytes for service in config.services if not specs[service.name].on_drone
     }
-    return Offloading(
+    calls = Calls(
         selection,
-        endpoints(config, selection.estimates, ports.finder),
-        period_s=config.policy.period_s,
-        autopilot=ports.autopilot,
-        networks=ports.networks,
-        dialer=ports.dialer,
-        onboard=onboard,
-        journal=ports.journal,
-        hedging=Hedging(selection.estimates, config.policy.hedging),
-        deadlines=make_deadlines(config, specs, selection.estimates),
-        before_sending=before_sending,
+        Hedging(estimates, config.policy.hedging),
+        make_deadlines(config, specs, estimates),
         first=first or (photos.order if photos else "oldest" if waiting_bytes else None),
         waiting_bytes=waiting_bytes,
+    )
+    return Offloading(
+        calls,
+        endpoints(config, estimates, ports.finder),
+        ports,
+        onboard_services(config, specs, programs, ports),
+        _parts_before_sending(config, specs, parts, ports),
+        period_s=config.policy.period_s,
     )
 
 
@@ -170,38 +157,31 @@ def make_estimates(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Est
     """The offline estimates of every operation that has a local delay in the file, or that only servers run."""
     for service in config.services:
         _require_agreement(service, specs[service.name])
-    profiled = [
-        (service, operation, key)
-        for service in config.services
-        for operation, key in _profile(service, specs[service.name])
-    ]
-    less = {
-        operation: part
-        for service, operation, key in profiled
-        if specs[service.name].methods[operation.method].before is not None
-        and (part := _less(service, operation, key)) is not None
-    }
+    local_s: dict[Operation, float] = {}
+    less: dict[Operation, Less] = {}
+    remote_s: dict[str, dict[Operation, float]] = {server.name: {} for server in config.servers}
+    transfer_s: dict[str, dict[Operation, float]] = {server.name: {} for server in config.servers}
+    for service in config.services:
+        spec = specs[service.name]
+        for operation, key in _profile(service, spec):
+            method = spec.methods[operation.method]
+            if spec.on_drone:
+                local_s[operation] = service.local_call_s[key]
+            if method.before is not None and (part := _less(service, operation, key)) is not None:
+                less[operation] = part
+            for server in config.servers:
+                if not method.once and (delay_s := _remote_s(server, service, key)) is not None:
+                    remote_s[server.name][operation] = delay_s
+                if operation in less and server.bandwidth_bit_s is not None:
+                    transfer_s[server.name][operation] = 8 * service.request_bytes / server.bandwidth_bit_s
     return Estimates(
-        local_s={
-            operation: service.local_call_s[key]
-            for service, operation, key in profiled
-            if specs[service.name].on_drone
-        },
+        local_s=local_s,
         servers={
             server.name: Beliefs(
                 check_s=server.check_s,
                 check_running_s=server.check_running_s,
-                remote_s={
-                    operation: delay_s
-                    for service, operation, key in profiled
-                    if not specs[service.name].methods[operation.method].once
-                    and (delay_s := _remote_s(server, service, key)) is not None
-                },
-                transfer_s={
-                    operation: 8 * service.request_bytes / server.bandwidth_bit_s
-                    for service, operation, _ in profiled
-                    if operation in less and server.bandwidth_bit_s is not None
-                },
+                remote_s=remote_s[server.name],
+                transfer_s=transfer_s[server.name],
             )
             for server in config.servers
         },
@@ -228,7 +208,6 @@ def _require_agreement(service: ServiceConfig, spec: ServiceSpec) -> None:
 
 
 def _less(service: ServiceConfig, operation: Operation, key: str) -> Less | None:
-    """What the part before sending does to the operation; None without a part, or if its loss is unknown."""
     if (measured := service.before_sending) is None:
         return None
     names = [name for name in (key, operation.method, "") if name in measured.loss]
@@ -243,6 +222,11 @@ def endpoints(
 
     The finder looks up addresses that the configuration does not have.
     """
+
+    def hosts(server: str, service: str) -> bool:
+        own = (operation for operation in estimates.operations if operation.service == service)
+        return any(estimates.is_hosted(server, operation) for operation in own)
+
     return {
         server.name: ServerEndpoint(
             name=server.name,
@@ -250,14 +234,7 @@ def endpoints(
             address=server.address or "",
             finder=finder if server.address == MDNS else None,
             connects=any(service.deadline for service in config.services),
-            services=tuple(
-                service.name
-                for service in config.services
-                if any(
-                    operation.service == service.name and estimates.is_hosted(server.name, operation)
-                    for operation in estimates.operations
-                )
-            ),
+            services=tuple(service.name for service in config.services if hosts(server.name, service.name)),
         )
         for server in config.servers
     }
@@ -295,14 +272,14 @@ def two_answers(
     for service in config.services:
         if (two := service.two_answers) is None:
             continue
-        methods = {name: method for name, method in specs[service.name].methods.items() if method.profile_by}
         for operation in estimates.operations:
-            method = methods.get(operation.method) if operation.service == service.name else None
-            if method is None or method.once or operation.key == two.first:
+            if operation.service != service.name or operation.key == two.first:
                 continue
-            _require_key(method, two.first, f"service.{service.name}.two_answers.first")
-            first = Operation(service.name, method.name, two.first)
-            found[operation] = TwoAnswers(first, two.within_s)
+            method = specs[service.name].methods[operation.method]
+            if method.profile_by and not method.once:
+                _require_key(method, two.first, f"service.{service.name}.two_answers.first")
+                first = Operation(service.name, method.name, two.first)
+                found[operation] = TwoAnswers(first, two.within_s)
         if not any(operation.service == service.name for operation in found):
             raise UsageError(
                 f"service.{service.name}.two_answers.first: no method of {service.name} has a profile key: declare "
@@ -347,7 +324,7 @@ def mission_beliefs(
     pauses_s = (config.camera.photo_s, *(0.0 for _ in operations[1:]))
     return MissionBeliefs(
         plan=plan,
-        leaving=leaving(mission),
+        leaving=planned_photos(mission).leaving,
         ground_speed_m_s=mission.ground_speed_m_s,
         pace=told or pace_in_numbers(config.vehicle),
         stop=[StopCall(operation, pause_s) for operation, pause_s in zip(operations, pauses_s, strict=False)],
@@ -361,37 +338,27 @@ def _profile(service: ServiceConfig, spec: ServiceSpec) -> Iterator[tuple[Operat
     A method with a profile argument has one operation per key; any other has its own name's, or else the single
     number's.
     """
-    method_names = set(spec.methods)
-    keys = [key for key in service.local_call_s if key and key not in method_names]
+    keys = [key for key in service.local_call_s if key and key not in spec.methods]
     for method in spec.methods.values():
-        if method.profile_by is not None:
-            if not keys:
-                raise UsageError(
-                    f"service {service.name}: local_call_s must have one delay per {method.profile_by}, "
-                    f"as {method.name} is slower or faster by it: for example {_example(method)}"
-                )
-            for key in keys:
-                yield Operation(service.name, method.name, key), key
-        else:
-            for key in (method.name, ""):
-                if key in service.local_call_s:
-                    yield Operation(service.name, method.name), key
-                    break
-
-
-def _example(method: Method) -> str:
-    """Delays for each value of the profile argument, which `upwash profile` measures."""
-    keys = [value for value in get_args(method.key_type) if isinstance(value, str)] or ["KEY"]
-    return f"{{ {', '.join(f'{key} = 1.0' for key in keys)} }}; upwash profile measures them"
+        if method.profile_by is None:
+            own = [key for key in (method.name, "") if key in service.local_call_s]
+            yield from ((Operation(service.name, method.name), key) for key in own[:1])
+            continue
+        if not keys:
+            examples = [value for value in get_args(method.key_type) if isinstance(value, str)] or ["KEY"]
+            raise UsageError(
+                f"service {service.name}: local_call_s must have one delay per {method.profile_by}, as {method.name} "
+                f"is slower or faster by it: for example {{ {', '.join(f'{key} = 1.0' for key in examples)} }}; "
+                "upwash profile measures them"
+            )
+        yield from ((Operation(service.name, method.name, key), key) for key in keys)
 
 
 def _remote_s(server: ServerConfig, service: ServiceConfig, key: str) -> float | None:
     measured_s = server.remote_call_s.get(service.name, {}).get(key)
-    if measured_s is not None:
-        return measured_s
     processing_s = server.processing_s.get(service.name, {}).get(key)
-    if processing_s is None or server.bandwidth_bit_s is None:
-        return None
+    if measured_s is not None or processing_s is None or server.bandwidth_bit_s is None:
+        return measured_s
     return offline_remote_s(
         processing_s=processing_s,
         data_bytes=service.request_bytes + service.reply_bytes,
@@ -426,18 +393,15 @@ def order_of(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Order:
         stands=start,
         home_s=lambda place: home_s(config, place, start),
     )
+    ways = [[_HOME, *(waypoint.position for waypoint in sweep.waypoints)] for sweep in possible]
     fences = geofence(mission)
     allowed = [
-        sweep
-        for sweep in possible
-        if breached_by_way(fences, [_HOME, *(waypoint.position for waypoint in sweep.waypoints)]) is None
+        sweep for sweep, way in zip(possible, ways, strict=True) if breached_by_way(fences, way) is None
     ]
     best = best_order(given, allowed, forecaster.mission_s)
-    if len(allowed) < len(possible):
-        forbidden = (
-            f"the geofence forbids {len(possible) - len(allowed)} of {counted(len(possible), 'sweep')}"
-        )
-        return replace(best, why=f"{best.why}; {forbidden}")
+    if forbidden := len(possible) - len(allowed):
+        sweeps = counted(len(possible), "sweep")
+        return replace(best, why=f"{best.why}; the geofence forbids {forbidden} of {sweeps}")
     return best
 
 

@@ -124,7 +124,6 @@ class RadioWorker:
             await self._keep_lease(session, check)
 
     async def _with_slot(self, ask: Callable[[], Awaitable[T]], check: int) -> T:
-        """Ask until the server has a slot for the drone."""
         while True:
             try:
                 return await ask()
@@ -194,7 +193,6 @@ class RadioWorker:
         await self._keep_lease(session, command.check)
 
     async def _prepare(self, session: ServerSession, command: Prepare) -> None:
-        """Ask the server to announce the drone to its peer; report only whether the peer accepted."""
         try:
             await session.prepare(
                 self.endpoints[command.peer], arrives_in_s=command.arrives_in_s, hold_s=command.hold_s

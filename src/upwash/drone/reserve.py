@@ -8,7 +8,7 @@ from upwash.config.drone import DroneConfig
 from upwash.config.flight_times import pace_in_numbers, told_pace
 from upwash.core.geo import Position
 from upwash.core.vehicle.energy import FlightEnergy, FlightReport, Margin, Reserve, in_battery
-from upwash.drone.homecoming import Homecoming
+from upwash.drone.coming_down import Homecoming
 from upwash.drone.legs import Legs
 from upwash.eventlog import schema
 
@@ -65,7 +65,6 @@ class ReserveWatch:
         return why
 
     def _name_unwatched(self) -> None:
-        """Tell each battery whose charge is not known, where that of another is."""
         told = self._autopilot.telemetry
         unknown = {number for number, percent in told.batteries.items() if percent is None}
         for number in sorted(unknown - self._unwatched) if told.charges_percent else ():

@@ -99,7 +99,6 @@ class Rows(Several):
     def _fly_to(
         self, via: Via, fly_on: Callable[[], Coroutine[Any, Any, bool]], notes: Callable[[], None]
     ) -> None:
-        """Fly a leg to a place without a photo."""
         position = via.position
         if self._end != position or not self.legs.passes(position):
             self.stop()
@@ -131,12 +130,11 @@ class Rows(Several):
                 return
 
     def _before_leaving(self, place: Place) -> None:
-        """Do what was put off to here; stop in the last range of the way if calls wait for a server."""
         if due := self.late.due_after(self._last):
             self.stop()  # behind a last spot that is not the row's end
             self._open += due
             self.meet(due, self._onwards(place))
-        if self.servers is None or not isinstance(place, Waypoint) or not self._open:
+        if not (self.asks_servers and self._open and isinstance(place, Waypoint)):
             return
         here = self.legs.position
         if self.thread.call(self.seeking.leads_away(place)):
@@ -190,14 +188,12 @@ class Rows(Several):
         return end
 
     def _is_often_demanded(self, spot: Waypoint) -> bool:
-        """Whether a map of demands has the drone rest at a spot of a row."""
         if self.rule.demand_map is None:
             return False
         verdict = self._verdict(spot, rests_anyway=False)
         return verdict is not None and not verdict.goes
 
     def _rests_at(self, spot: Waypoint) -> bool:
-        """Whether the drone waits at this spot, where it rests, for the answer."""
         verdict = self._verdict(spot, rests_anyway=spot.position == spot.row_end)
         if verdict is None:
             return False
@@ -221,7 +217,6 @@ class Rows(Several):
         return rule.decide(outlook, spot.position)
 
     def _fly_back(self, spot: Place) -> None:
-        """Brake, fly to a spot that was missed, and set off again for the end of the leg."""
         end = self._end
         assert end is not None  # noqa: S101 - a leg is flown
         self.stop()
@@ -231,7 +226,6 @@ class Rows(Several):
             self._set_off(end, self._leg_m_s)
 
     def _onwards(self, place: Place) -> Onwards:
-        """What follows for the drone on its leg to the place, or over it."""
         ahead = position_of(place) if self._end in (None, position_of(place)) else self.legs.left()
         return Onwards(place, ahead, self._end, rests=self._end is None)
 

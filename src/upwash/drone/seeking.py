@@ -14,6 +14,8 @@ No stop lasts longer than `policy.detour_s`, or than the reserve of the battery 
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -21,6 +23,8 @@ from statistics import fmean
 
 from upwash.config.drone import DroneConfig
 from upwash.config.places import ending, server_areas
+from upwash.core.call.on_servers import patience_s
+from upwash.core.call.steps import EndWaiting
 from upwash.core.geo import Circle, Position, Waypoint
 from upwash.core.operation import Operation
 from upwash.core.planning.answer_stops import AnswerStops, longer_m
@@ -29,18 +33,16 @@ from upwash.core.selection.selection import Selection
 from upwash.drone.legs import Legs
 from upwash.drone.offloading import Offloading
 from upwash.drone.reserve import ReserveWatch
-from upwash.drone.server_calls import ServerCalls
 from upwash.eventlog import schema
 
 _LEAST_GAIN_S = 1.0  # a stop that may not last so long is none
 
 
-@dataclass(kw_only=True, eq=False)
+@dataclass(eq=False)
 class Seeking:
-    """Decides about these stops, and waits; on the loop."""
+    """Decides about these stops, and waits; on the loop. `waiting` are the open calls that only servers compute."""
 
     config: DroneConfig
-    calls: ServerCalls
     selection: Selection
     offloading: Offloading
     legs: Legs
@@ -125,7 +127,6 @@ class Seeking:
         return place
 
     def _allows(self, here: Position, place: Position, onwards: Position) -> bool:
-        """Whether no fence forbids the way over the place."""
         allows = self.legs.allows
         return allows(here, place) and allows(place, onwards.at_altitude(place.altitude_m))
 
@@ -152,29 +153,51 @@ class Seeking:
         """Wait at the place, which was chosen when the drone was at `left_from`."""
         home = self._home
         extra_s = 0.0 if home is None or left_from is None else self._extra_s(left_from, here, home)
-        waiting = len(self.calls.waiting)
+        waiting = len(self.offloading.waiting())
         if not waiting or (most_s := self._most_s(extra_s)) < _LEAST_GAIN_S:
             return
         self.legs.journal.record(
             schema.SoughtAnswers(waiting=waiting, position=here, extra_s=round(extra_s, 1))
         )
-        await self.calls.answered_here(most_s)
+        await self._answered_here(most_s)
 
     async def after_landing(self) -> None:
         """Wait for answers at home, and end the calls that none answers."""
-        await self.calls.answered_here()
-        await self.calls.end_all("the flight is over, and no server in range answers")
+        await self._answered_here()
+        self.offloading.tell(EndWaiting("the flight is over, and no server in range answers"))
+        while self.offloading.waiting():
+            await self.offloading.happened()
+
+    async def _answered_here(self, at_most_s: float = math.inf) -> None:
+        """Return when no call waits, or when no server in range answers the next one, and after that time at most."""
+        waiting, reach_s = self.offloading.waiting, self.offloading.reach_s
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(at_most_s if at_most_s < math.inf else None):
+                while calls := waiting():
+                    reaches = [reach_s(operation) for operation in dict.fromkeys(calls)]
+                    slowest_s = max((each_s for each_s in reaches if each_s is not None), default=None)
+                    if slowest_s is None:
+                        return
+                    async with asyncio.timeout(patience_s(slowest_s)):
+                        while len(waiting()) == len(calls):
+                            await self.offloading.happened()
+
+    async def soon_s(self, operation: Operation) -> float | None:
+        """Seconds until a call made now is answered here; None if a stop is not worth it."""
+        reach_s, alone_s = self.offloading.reach_s(operation), self.selection.estimates.alone_s(operation)
+        if reach_s is None or alone_s is None:
+            return None
+        soon_s = reach_s * max(1, len(self.offloading.waiting()))
+        return soon_s if soon_s <= alone_s else None
 
     @property
     def _home(self) -> Position | None:
-        """Where the vehicle lands; None if it does not return."""
         returns = ending(self.config.mission) == "return"
         energy, here = self.legs.autopilot.energy, self.legs.position
         return energy.returns_to(here).position if returns else None
 
     def _hosting(self) -> list[str]:
-        """The servers with a range that can answer a waiting call."""
-        waiting, is_hosted = dict.fromkeys(self.calls.waiting), self.selection.estimates.is_hosted
+        waiting, is_hosted = dict.fromkeys(self.offloading.waiting()), self.selection.estimates.is_hosted
         return [name for name in self._areas if any(is_hosted(name, each) for each in waiting)]
 
     def _stops(self) -> AnswerStops:
@@ -190,7 +213,7 @@ class Seeking:
 
     def _needed_s(self) -> float:
         """The seconds until the oldest call is answered there, at least."""
-        estimates, oldest = self.selection.estimates, next(iter(self.calls.waiting), None)
+        estimates, oldest = self.selection.estimates, next(iter(self.offloading.waiting()), None)
         times_s = [
             estimates.check_s(name, running=False) + remote_s
             for name in self._hosting()

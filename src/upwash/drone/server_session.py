@@ -342,7 +342,6 @@ class ServerSession:
         return await daemon.request(path, msgspec.msgpack.encode(message), timeout_s=timeout_s)
 
     async def _dial(self, service: str, endpoint: str) -> None:
-        """Open a link to the instance, unless there is one to that address."""
         address = resolve(endpoint, self._address)
         if service in self._instances:
             before, link = self._instances[service]

@@ -4,8 +4,8 @@ an answer    Without a demand it is taken, while the drone flies on.
 a demand     The drone brakes, flies back and acts. Demands that are there by then are one detour, the nearest
              first. An act that costs less further on is put off (late_acts.py).
 too many     With too many open answers the drone brakes and waits.
-a server's   The drone waits for it where it comes soon, and leaves it open elsewhere (server_calls.py). At the
-             end it stops for calls that wait (seeking.py).
+a server's   The drone waits for it where it comes soon, and leaves it open elsewhere. At the end it stops for calls
+             that wait (seeking.py).
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from upwash.drone.answers import AnswerAction, one_answered
 from upwash.drone.late_acts import Onwards
 from upwash.drone.places import Place, position_of, turns_around
 from upwash.drone.seeking import Seeking
-from upwash.drone.server_calls import ServerCalls
 from upwash.drone.settling import Settling
 from upwash.eventlog import schema
 
@@ -34,13 +33,12 @@ _LATER = 2.0  # times what an answer is expected to take that the drone waits fo
 class Several(Settling):
     """Settles several open answers, each when it comes.
 
-    `seeking` finds stops where servers answer. `servers` are the calls that only servers compute, None if the mission
-    has no service of servers alone.
+    `seeking` finds stops where servers answer. The mission `asks_servers` if it has a service of servers alone.
     """
 
     config: DroneConfig
     seeking: Seeking
-    servers: ServerCalls | None
+    asks_servers: bool
     _open: list[AnswerAction[Any]] = field(default_factory=list, init=False)
     _stays: bool = field(default=False, init=False)  # at rest, until its answer is there
     _acts: bool = field(default=False, init=False)
@@ -134,7 +132,7 @@ class Several(Settling):
 
     def seek_answers(self) -> None:
         """Before the way home, fly to a place where servers answer waiting calls, if the detour pays."""
-        if self.servers is None or not self._open:
+        if not (self.asks_servers and self._open):
             return
         here, place = self.legs.position, self.thread.call(self.seeking.beside_way_home())
         if place is None:
@@ -147,7 +145,7 @@ class Several(Settling):
 
     def after_landing(self) -> None:
         """Wait for the answers that servers give at home, and take all; the others have none."""
-        if self.servers is None:
+        if not self.asks_servers:
             return
         self.thread.call(self.seeking.after_landing())
         while self._open:
@@ -213,7 +211,6 @@ class Several(Settling):
         return now
 
     def _due(self, onwards: Onwards) -> list[AnswerAction[Any]]:
-        """The acts that were put off, and that the drone does before it goes on."""
         due = self.thread.call(self.late.due(onwards)) if self.late else []
         self._open += due
         return due
@@ -253,9 +250,9 @@ class Several(Settling):
 
         The demands of others wait.
         """
-        if self.servers is None or not self.rests or self.rule.manner == "go":
+        if not (self.asks_servers and self.rests) or self.rule.manner == "go":
             return
-        if (soon_s := self.thread.call(self.servers.soon_s(answer.call.operation))) is not None:
+        if (soon_s := self.thread.call(self.seeking.soon_s(answer.call.operation))) is not None:
             waited_s = self.thread.call(_timed(one_answered([answer], within_s=_LATER * soon_s)))
             if answer.call.is_over:
                 self._open.remove(answer)
@@ -282,7 +279,6 @@ class Several(Settling):
 
 
 async def _timed(wait: Coroutine[Any, Any, None]) -> float:
-    """The seconds that the wait takes."""
     begun_s = asyncio.get_running_loop().time()
     await wait
     return asyncio.get_running_loop().time() - begun_s

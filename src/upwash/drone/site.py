@@ -118,7 +118,6 @@ class Site(Struct, frozen=True):
             yield f"a return from {_waypoints(indices)} ends at the vehicle's {end.name}, {away} from home"
 
     def _forbidden(self, limits: VehicleLimits, vehicle: Position) -> Iterator[tuple[str, str]]:
-        """The parts of the flight that the vehicle's own fence forbids, in their order, and why."""
         if why := _outside_areas(limits, vehicle):
             yield f"the place where the vehicle stands ({_place(vehicle)})", why
         if why := _outside_altitudes(limits, self.takeoff_m):
@@ -143,7 +142,6 @@ class Site(Struct, frozen=True):
             yield f"the way {'home' if end.name == 'home' else f'to {end.name}'} from {whence}", f"it {why}"
 
     def _places(self) -> Iterator[tuple[str, Position]]:
-        """The name and position of each place of the flight, those without a photo among them."""
         for waypoint in self.waypoints:
             for via in waypoint.via:
                 yield (
@@ -203,7 +201,6 @@ def _crossed_areas(limits: VehicleLimits, start: Position, end: Position) -> str
 
 
 def _home(limits: VehicleLimits, vehicle: Position) -> Position:
-    """The vehicle's home; its present position if it does not report one."""
     return vehicle if limits.home is None else limits.home
 
 

@@ -106,7 +106,6 @@ class Stops(Settling):
                 self._open = answer
 
     def _act_before(self, place: Place) -> None:
-        """Do the acts that were put off to here, and those that would be late further on."""
         if not (self.late or self._due or self._owed) or self._acts:
             return
         here, onwards = self.legs.place, Onwards(place, position_of(place))
@@ -126,7 +125,6 @@ class Stops(Settling):
         return not due
 
     def _owed_now(self, onwards: Onwards) -> list[AnswerAction[Any]]:
-        """The owed acts that are not put off."""
         return [act for act in self._taken_owed() if not (act.demands() and self._is_put_off(act, onwards))]
 
     def _taken_owed(self) -> list[AnswerAction[Any]]:

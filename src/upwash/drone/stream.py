@@ -16,14 +16,9 @@ from typing import Generic, TypeVar
 
 from upwash.config.drone import DroneConfig
 from upwash.core.operation import Operation
+from upwash.drone.offloading import CallPorts
 from upwash.drone.pending import Hearing
-from upwash.drone.preparation import (
-    CallPorts,
-    make_offloading,
-    make_selection,
-    onboard_services,
-    parts_before_sending,
-)
+from upwash.drone.preparation import make_offloading, make_selection
 from upwash.errors import Unanswered, UpwashError
 from upwash.eventlog import schema
 from upwash.ports import Program
@@ -113,16 +108,9 @@ class Stream(Generic[T]):
         self._lines = {name: _Line[T](at_most) for name in self._methods}
         self._numbers = itertools.count()
         self._calls: dict[int, schema.Call] = {}  # by the number of the photo
-        self._onboard = onboard_services(config, specs, programs, ports)
-        self._before_sending = parts_before_sending(config, specs, parts, ports)
+        selection = make_selection(config, specs, ())
         self._offloading = make_offloading(
-            config,
-            specs,
-            make_selection(config, specs, ()),
-            ports,
-            self._onboard,
-            before_sending=self._before_sending,
-            first="newest",
+            config, specs, selection, ports, programs=programs, parts=parts, first="newest"
         )
 
     @property
@@ -148,13 +136,11 @@ class Stream(Generic[T]):
     async def running(self) -> AsyncIterator[None]:
         """Computes photos until the end of the block; raises InstanceError if a service cannot run at all."""
         try:
-            await self._onboard.start()
-            await self._before_sending.start()
+            await self._offloading.start()
             async with self._offloading.running(), beside(self._compute_all(), name="photos of a stream"):
                 yield
         finally:
-            await self._before_sending.close()
-            await self._onboard.close()
+            await self._offloading.close()
 
     async def ask(self, service: str) -> tuple[T | None, StreamAnswer]:
         """The newest photo with its answer, before all other photos; the answer says why if none has come."""

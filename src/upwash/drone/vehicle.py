@@ -9,7 +9,7 @@ from typing import Any, Literal
 from upwash.core.geo import EarthPosition, Position, Waypoint, rounded
 from upwash.core.selection.events import DescentBegun, MissionBegun, TargetUnknown
 from upwash.core.vehicle.telemetry import Telemetry
-from upwash.drone.homecoming import Homecoming
+from upwash.drone.coming_down import Homecoming
 from upwash.drone.pending import Demand
 from upwash.drone.places import index_of
 from upwash.drone.settling import Settling

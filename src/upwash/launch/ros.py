@@ -15,7 +15,7 @@ import msgspec
 from upwash.config.drone import DroneConfig
 from upwash.core.geo import LocalFrame
 from upwash.core.knowledge.servers import State
-from upwash.drone.preparation import CallPorts
+from upwash.drone.offloading import CallPorts
 from upwash.drone.stream import Stream, StreamAnswer, photo_method
 from upwash.errors import UpwashError, UsageError
 from upwash.eventlog import schema
