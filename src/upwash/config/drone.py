@@ -12,7 +12,6 @@ from msgspec.structs import replace
 
 from upwash.config import values
 from upwash.config.kept_maps import CoverageFile, DemandFile
-from upwash.config.plan_file import PlanFile
 from upwash.config.user import UserConfig
 from upwash.config.world import EnergyConfig, EventConfig, FaultConfig, NoiseConfig, TruthConfig
 from upwash.core.planning.order import SWEEPS
@@ -20,7 +19,17 @@ from upwash.core.policies.names import POLICIES, is_own
 from upwash.core.selection.deadlines import Deadline
 from upwash.core.selection.hedging import HedgeRule
 from upwash.core.selection.recovery import Probing
+from upwash.plans import FlightPlan, read_plan
 from upwash.support.heat import Surroundings
+
+
+class PlanFile(values.NamedFile):
+    """A plan of a ground station, and the file that it was read from."""
+
+    def __init__(self, file: Path, plan: FlightPlan | None = None) -> None:
+        super().__init__(file)
+        self.plan: FlightPlan = plan or read_plan(file)
+
 
 FieldOfView = Annotated[float, Meta(ge=1, le=170, description="a number from 1 to 170, in degrees")]
 AtLeastOneSecond = Annotated[float, Meta(ge=1, description="a number of at least 1, in seconds")]

@@ -12,8 +12,7 @@ from dataclasses import replace
 
 import msgspec
 
-from upwash.config.drone import DroneConfig, GridConfig, MissionConfig, ServerConfig, VehicleConfig
-from upwash.config.plan_file import PlanFile
+from upwash.config.drone import DroneConfig, GridConfig, MissionConfig, PlanFile, ServerConfig, VehicleConfig
 from upwash.config.plan_photos import planned_photos
 from upwash.config.traces import read_track
 from upwash.config.values import HomeConfig

@@ -18,7 +18,7 @@ from upwash.core.operation import Operation
 from upwash.core.selection.deadlines import MISS, Deadline, Deadlines, Delays, Prospect, prospect
 from upwash.errors import UsageError
 from upwash.eventlog import schema
-from upwash.rpc.service import ServiceSpec
+from upwash.rpc.service import Specs
 from upwash.support.text import counted
 
 _CERTAIN = 1000  # calls that all take as long: those of the drone's own service
@@ -58,13 +58,13 @@ class DeadlineProspect(Struct, frozen=True):
         )
 
 
-def make_deadlines(config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates) -> Deadlines:
+def make_deadlines(config: DroneConfig, specs: Specs, estimates: Estimates) -> Deadlines:
     """The deadlines of the drone's operations, with the measured times of its servers."""
     return Deadlines(*_measured(config, specs, estimates))
 
 
 def require_deadlines(
-    config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates, plan: Sequence[Waypoint]
+    config: DroneConfig, specs: Specs, estimates: Estimates, plan: Sequence[Waypoint]
 ) -> list[DeadlineProspect]:
     """What can be had of each deadline over these waypoints; raises UsageError if it is less than configured.
 
@@ -80,7 +80,7 @@ def require_deadlines(
 
 
 def _measured(
-    config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates
+    config: DroneConfig, specs: Specs, estimates: Estimates
 ) -> tuple[dict[Operation, Deadline], dict[tuple[str, Operation], list[float]]]:
     asked = {service.name: service.deadline for service in config.services if service.deadline is not None}
     deadlines = {
@@ -108,7 +108,7 @@ def _names(name: str, operation: Operation, services: Sequence[ServiceConfig]) -
 
 
 def _prospects(
-    config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates, plan: Sequence[Waypoint]
+    config: DroneConfig, specs: Specs, estimates: Estimates, plan: Sequence[Waypoint]
 ) -> Iterator[DeadlineProspect]:
     deadlines, known_s = _measured(config, specs, estimates)
     areas, hedging = server_areas(config), config.policy.hedging

@@ -56,17 +56,8 @@ from upwash.errors import (
     UpwashError,
 )
 from upwash.eventlog import schema
-from upwash.ports import (
-    Album,
-    Autopilot,
-    Camera,
-    ComingDown,
-    Computer,
-    Notifier,
-    Program,
-    VehicleNews,
-)
-from upwash.rpc.service import ServiceSpec, spec_of
+from upwash.ports import Album, Autopilot, Camera, ComingDown, Computer, Notifier, Program, VehicleNews
+from upwash.rpc.service import Specs, spec_of
 from upwash.support.background import end, only_logged, start
 from upwash.support.text import message_of, worded
 
@@ -216,9 +207,7 @@ class Flight:
             home=planned_home(mission),
         )
 
-    def _settles(
-        self, specs: Mapping[str, ServiceSpec], selection: Selection, objects: FlightObjects
-    ) -> Settling:
+    def _settles(self, specs: Specs, selection: Selection, objects: FlightObjects) -> Settling:
         config, offloading, watch = self._config, self._offloading, self._watch
         acts = Acts[AnswerAction[Any]](
             self._plan,

@@ -11,9 +11,8 @@ from dataclasses import replace
 import msgspec
 from msgspec import Struct
 
-from upwash.config.drone import DroneConfig, MissionConfig
+from upwash.config.drone import DroneConfig, MissionConfig, PlanFile
 from upwash.config.places import altitudes_above_sea, is_planned_home
-from upwash.config.plan_file import PlanFile
 from upwash.core.geo import Position, ground_distance_m
 from upwash.errors import AutopilotRefused
 from upwash.plans import FlightPlan, PlannedWaypoint

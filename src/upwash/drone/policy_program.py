@@ -21,16 +21,7 @@ from upwash.core.geo import Circle, Measured
 from upwash.core.planning.acts import LateAct
 from upwash.core.planning.backlog import Stay
 from upwash.core.planning.earliest import Line, Take
-from upwash.core.policies.policy import (
-    CallInputs,
-    Choice,
-    Decision,
-    Local,
-    Option,
-    Remote,
-    Situation,
-    Wait,
-)
+from upwash.core.policies.policy import CallInputs, Choice, Decision, Local, Option, Remote, Situation, Wait
 from upwash.errors import UsageError
 from upwash.support.apart import serve
 from upwash.support.loading import load

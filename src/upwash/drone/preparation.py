@@ -10,15 +10,7 @@ from msgspec.structs import replace
 from upwash.config.checks import only_on_servers
 from upwash.config.drone import DroneConfig, ServerConfig, ServiceConfig
 from upwash.config.flight_times import finish_by_s, pace_in_numbers, told_pace
-from upwash.config.places import (
-    coverage_of,
-    ending,
-    geofence,
-    server_areas,
-    stands,
-    sweeps_of,
-    waypoints,
-)
+from upwash.config.places import coverage_of, ending, geofence, server_areas, stands, sweeps_of, waypoints
 from upwash.config.plan_photos import planned_photos
 from upwash.config.values import MDNS
 from upwash.core.call.calls import Calls
@@ -43,13 +35,13 @@ from upwash.drone.own_policy import policy_of
 from upwash.drone.server_session import ServerEndpoint
 from upwash.errors import UsageError
 from upwash.ports import Finder, InstanceSpec, Program
-from upwash.rpc.service import Method, ServiceSpec, spec_of
+from upwash.rpc.service import Method, ServiceSpec, Specs, spec_of
 from upwash.support.text import counted
 
 
 def make_selection(
     config: DroneConfig,
-    specs: Mapping[str, ServiceSpec],
+    specs: Specs,
     plan: Sequence[Waypoint],
     *,
     instead: Policy | None = None,
@@ -81,7 +73,7 @@ def make_selection(
 
 
 def onboard_services(
-    config: DroneConfig, specs: Mapping[str, ServiceSpec], programs: Mapping[str, Program], ports: CallPorts
+    config: DroneConfig, specs: Specs, programs: Mapping[str, Program], ports: CallPorts
 ) -> OnboardServices:
     """The configured services on the drone, which are yet to be started."""
     instances = [
@@ -106,7 +98,7 @@ def _started_by(ports: CallPorts, config: DroneConfig, instances: Sequence[Insta
 
 
 def _parts_before_sending(
-    config: DroneConfig, specs: Mapping[str, ServiceSpec], programs: Mapping[str, Program], ports: CallPorts
+    config: DroneConfig, specs: Specs, programs: Mapping[str, Program], ports: CallPorts
 ) -> BeforeSending:
     parts = {}
     for service in config.services if config.policy.most_loss else ():
@@ -120,7 +112,7 @@ def _parts_before_sending(
 
 def make_offloading(
     config: DroneConfig,
-    specs: Mapping[str, ServiceSpec],
+    specs: Specs,
     selection: Selection,
     ports: CallPorts,
     *,
@@ -153,7 +145,7 @@ def make_offloading(
     )
 
 
-def make_estimates(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Estimates:
+def make_estimates(config: DroneConfig, specs: Specs) -> Estimates:
     """The offline estimates of every operation that has a local delay in the file, or that only servers run."""
     for service in config.services:
         _require_agreement(service, specs[service.name])
@@ -240,9 +232,7 @@ def endpoints(
     }
 
 
-def _lighter(
-    config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates
-) -> LighterSettings | None:
+def _lighter(config: DroneConfig, specs: Specs, estimates: Estimates) -> LighterSettings | None:
     mission, by_s = config.mission, finish_by_s(config)
     if by_s is None:
         return None
@@ -264,9 +254,7 @@ def _lighter(
     return LighterSettings(by_s, operations)
 
 
-def two_answers(
-    config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates
-) -> dict[Operation, TwoAnswers]:
+def two_answers(config: DroneConfig, specs: Specs, estimates: Estimates) -> dict[Operation, TwoAnswers]:
     """The operations whose calls have a first answer of the drone, which itself is an operation with one answer."""
     found: dict[Operation, TwoAnswers] = {}
     for service in config.services:
@@ -288,7 +276,7 @@ def two_answers(
     return found
 
 
-def unkept_deadlines(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Iterator[str]:
+def unkept_deadlines(config: DroneConfig, specs: Specs) -> Iterator[str]:
     """Each operation whose better answers no server has in time, as a sentence."""
     estimates = make_estimates(config, specs)
     for operation, two in two_answers(config, specs, estimates).items():
@@ -309,7 +297,7 @@ def _require_key(method: Method, key: str, where: str) -> None:
 
 
 def mission_beliefs(
-    config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates, plan: Sequence[Waypoint]
+    config: DroneConfig, specs: Specs, estimates: Estimates, plan: Sequence[Waypoint]
 ) -> MissionBeliefs:
     """The mission expected before take-off: its plan, and at each stop a photo and a call of each operation.
 
@@ -370,7 +358,7 @@ _HOME = Position(0.0, 0.0)
 _WAYS_HOME = {"arducopter": ARDUCOPTER, "px4": PX4}
 
 
-def order_of(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Order:
+def order_of(config: DroneConfig, specs: Specs) -> Order:
     """The order of the waypoints by `mission.order`, for a configuration that was read from a file."""
     mission = config.mission
     given = waypoints(mission)

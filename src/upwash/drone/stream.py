@@ -22,7 +22,7 @@ from upwash.drone.preparation import make_offloading, make_selection
 from upwash.errors import Unanswered, UpwashError
 from upwash.eventlog import schema
 from upwash.ports import Program
-from upwash.rpc.service import Method, Patience, ServiceSpec
+from upwash.rpc.service import Method, Patience, ServiceSpec, Specs
 from upwash.support.background import beside
 from upwash.support.text import worded
 
@@ -90,7 +90,7 @@ class Stream(Generic[T]):
         self,
         config: DroneConfig,
         *,
-        specs: Mapping[str, ServiceSpec],
+        specs: Specs,
         programs: Mapping[str, Program],
         parts: Mapping[str, Program],
         ports: CallPorts,

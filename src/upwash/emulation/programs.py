@@ -12,10 +12,9 @@ import msgspec
 import tomli_w
 
 from upwash.config.daemon import DaemonConfig, DaemonKeysConfig, IdentityConfig, ImageConfig, PeerConfig
-from upwash.config.drone import CameraConfig, DroneConfig, ServerConfig
+from upwash.config.drone import CameraConfig, DroneConfig, PlanFile, ServerConfig
 from upwash.config.flight_times import told_in_numbers
 from upwash.config.kept_maps import CoverageFile, DemandFile
-from upwash.config.plan_file import PlanFile
 from upwash.config.runtime import RuntimeConfig
 from upwash.config.truth import server_truth
 from upwash.config.values import KeysConfig

@@ -9,9 +9,8 @@ from msgspec.structs import replace
 
 from upwash.config.drone import DroneConfig
 from upwash.config.drone_file import FASTEST_M_S
-from upwash.config.photo_ground import photo_ground
 from upwash.config.plan_photos import PhotoLeg, photo_legs
-from upwash.drone.speed import SHARP_PX
+from upwash.drone.speed import SHARP_PX, photo_ground
 from upwash.errors import UpwashError
 from upwash.lab.flown_rows import RowAnswers, RowForecast
 from upwash.lab.run import simulate

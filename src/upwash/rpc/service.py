@@ -289,6 +289,9 @@ class ServiceSpec:
         return self.where != "servers"
 
 
+Specs: TypeAlias = Mapping[str, ServiceSpec]  # by the services' names
+
+
 Invoke = Callable[[Operation, Method, bytes], Any]  # runs a request somewhere; returns its decoded reply
 
 
