@@ -195,7 +195,6 @@ def _part(setting: tuple[int, int]) -> BeforeSending:
     program = Program("upwash.services:Shrink", {"px": px, "quality": quality})
     onboard = OnboardServices(
         [InstanceSpec("drone", spec_of(Shrink).name, program)],
-        drone="drone",
         start_timeout_s=60.0,
         runtime=own,
         dialer=own,

@@ -44,7 +44,6 @@ async def running(
     diary = Diary()
     onboard = OnboardServices(
         [InstanceSpec("heron", "halve", Program(program), before="carrier")],
-        drone="heron",
         start_timeout_s=60.0,
         runtime=runtime,
         dialer=dialer,

@@ -76,7 +76,6 @@ async def onboard(services: Path, folder: Path, cls: str = "Workbench") -> Async
     program = f"{services}:{cls}"
     running = OnboardServices(
         [InstanceSpec("heron", cls.lower(), Program(program))],
-        drone="heron",
         start_timeout_s=60.0,
         runtime=own,
         dialer=own,
@@ -321,7 +320,6 @@ def test_a_defect_in_watching_a_service_fails_its_calls_at_once_and_is_logged() 
         diary = Diary()
         services = OnboardServices(
             [InstanceSpec("heron", "workbench", Program("nowhere:Workbench"))],
-            drone="heron",
             runtime=Defective(),
             dialer=ModelDialer("heron", Switchboard({})),
             journal=diary,

@@ -214,4 +214,4 @@ def _number(file: Path, line: int, name: str, cell: str) -> float:
 
 
 def _problem(file: Path, line: int, column: str, problem: str) -> ConfigError:
-    return ConfigError(str(file), ", ".join(filter(None, (line and f"line {line}", column))), problem)
+    return ConfigError(str(file), ", ".join(filter(None, (f"line {line}", column))), problem)

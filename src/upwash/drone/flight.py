@@ -223,14 +223,14 @@ class Flight:
             "late": LateActs(
                 self._legs,
                 acts,
-                when_to_act=offloading.when_to_act,
+                when_to_act=lambda act: offloading.ask(lambda: selection.policy.when_to_act(act)),
                 within_s=config.policy.acts_within_s,
                 home_s=watch.home_s,
                 spare_s=watch.spare_s,
             ),
             "rule": StayRule(config.policy.stay_or_go, self.demand_map),
             "objects": objects,
-            "outlook": offloading.outlook,
+            "outlook": lambda: offloading.ask(lambda: offloading.planning.outlook()),  # noqa: PLW0108 - located in `ask`
         }
         if not offloading.several:
             return Stops(**about)
@@ -252,8 +252,10 @@ class Flight:
             ranges={name: area for name, area in areas.items() if isinstance(area, Circle)},
             measured={
                 server: [schema.MeasuredRecord.of(place) for place in coverage.places(server)]
-                for server in (coverage.servers if coverage is not None else ())
-            },
+                for server in coverage.servers
+            }
+            if coverage is not None
+            else {},
             paced=any(service.local_pace_s for service in self._config.services),
         )
 

@@ -57,12 +57,7 @@ class LateActs:
     _begin_by_s: dict[Answer, float] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
-        """Numbers the waypoints of the plan."""
         self._numbers = {waypoint: number for number, waypoint in enumerate(self.legs.site.waypoints)}
-
-    def __bool__(self) -> bool:
-        """Whether an act is put off."""
-        return bool(self.acts)
 
     def waits_after(self, place: Place | None) -> bool:
         """Whether an act is put off to the gap after that waypoint."""
@@ -71,10 +66,6 @@ class LateActs:
     def due_after(self, place: Place | None) -> list[Answer]:
         """Take the acts of the gap after that waypoint, in their order."""
         return self.acts.due_after(self._numbers.get(place, -1)) if isinstance(place, Waypoint) else []
-
-    def all(self) -> list[Answer]:
-        """Take all acts, in the order of the way."""
-        return self.acts.all()
 
     async def puts_off(self, answer: Answer, onwards: Onwards) -> bool:
         """Put the act off if the policy does; return whether it is put off."""

@@ -94,7 +94,9 @@ class FlightObjects:
         self._numbers = itertools.count(last + 1)
         self.acting: ActOnObject | None = None
         for photo, record in enumerate(acted_on, start=1):
-            if (place := _place_of(record)) is not None:
+            at, variance_m2, apart_m = record.place, record.variance_m2, record.apart_m
+            if at is not None and variance_m2 is not None and apart_m is not None:
+                place = Place(at, radius_of_95(variance_m2), variance_m2, apart_m)
                 outline = Outline(0.0, 0.0, 0.0, 0.0, record.label, record.score)
                 finding = Finding((-photo, next(self._keys)), outline, place, place.position)
                 self._join(-photo, [finding], None)
@@ -194,9 +196,3 @@ class FlightObjects:
             [seen.key for seen in self._catalogue.entry_of(*key).sightings.values()] if is_placed else [key]
         )
         return not self._claimed.isdisjoint(each for each in keys if each != but)
-
-
-def _place_of(record: FoundRecord) -> Place | None:
-    if record.place is None or record.variance_m2 is None or record.apart_m is None:
-        return None
-    return Place(record.place, radius_of_95(record.variance_m2), record.variance_m2, record.apart_m)

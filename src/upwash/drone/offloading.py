@@ -25,9 +25,6 @@ from upwash.core.call.calls import Calls
 from upwash.core.call.steps import Asked, CallEvent, Instruction
 from upwash.core.geo import Circle
 from upwash.core.operation import ON_DRONE, Operation
-from upwash.core.planning.acts import LateAct
-from upwash.core.planning.backlog import ServerBelief, Stay
-from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.selection.events import NoMoreCalls, SelectionEvent
 from upwash.core.selection.server_planning import ServerPlanning
 from upwash.drone.before_sending import BeforeSending, NotReduced
@@ -179,38 +176,23 @@ class Offloading:
             return None, None
         return current.name, self._radios.worker_at(current.name).round_trip_s(current.name)
 
-    def outlook(self) -> Outlook | None:
-        """What flying on before the open call is over would save and cost; None if nothing is known."""
-        return self._ask(lambda: self._planning.outlook())  # noqa: PLW0108 - located in `_ask`
-
-    def believed(self, operations: Sequence[Operation]) -> Mapping[str, ServerBelief]:
-        """The servers that may compute these operations, and the mean seconds of a call at each."""
-        return self._ask(lambda: self._planning.believed(operations)) or {}
-
-    def where_to_wait(self, stay: Stay) -> str | None:
-        """The server of the range where a resting drone waits for answers; None for where it is."""
-        return self._ask(lambda: self._selection.policy.where_to_wait(stay))
-
-    def when_to_act(self, act: LateAct) -> int | None:
-        """The number of a gap of the act, where the drone acts then; None for at once."""
-        return self._ask(lambda: self._selection.policy.when_to_act(act))
-
     def waiting(self) -> list[Operation]:
         """The operations of the open calls that only servers compute, the oldest first."""
         return [call.asked.operation for call in self._open if call.asked.on_servers and not call.is_over]
 
     def reach_s(self, operation: Operation) -> float | None:
         """Seconds until a server in range answers a call that only servers compute; None where none can."""
-        return self._ask(lambda: self._planning.reach_s(operation))
+        return self.ask(lambda: self.planning.reach_s(operation))
 
     @property
-    def _planning(self) -> ServerPlanning:
+    def planning(self) -> ServerPlanning:
+        """What is expected of the servers from here on."""
         self._selection.locate(self._autopilot.position, now_s())
         return self._selection.planning
 
     def tell(self, event: CallEvent | SelectionEvent) -> None:
         """Pass the event to the core, and carry out its instructions."""
-        self._ask(lambda: self._handle(event, now_s()))
+        self.ask(lambda: self._handle(event, now_s()))
 
     async def invoke(
         self,
@@ -311,7 +293,7 @@ class Offloading:
 
     def _look_at_calls(self) -> None:
         self._look_due = None
-        self._ask(lambda: self._handle(steps.News(), now_s()))
+        self.ask(lambda: self._handle(steps.News(), now_s()))
 
     def _set_alarm(self) -> None:
         due_s = self._calls.due_s
@@ -324,7 +306,7 @@ class Offloading:
 
     def _ring(self, due_s: float) -> None:
         self._alarm = None
-        self._ask(lambda: self._handle(steps.News(), max(due_s, now_s())))
+        self.ask(lambda: self._handle(steps.News(), max(due_s, now_s())))
 
     async def happened(self) -> None:
         """Return after the next event of the core."""
@@ -512,7 +494,8 @@ class Offloading:
             )
         )
 
-    def _ask(self, do: Callable[[], T]) -> T | None:
+    def ask(self, do: Callable[[], T]) -> T | None:
+        """What the core, or the policy, says; None once deciding has failed."""
         if not self._failed:
             try:
                 return do()

@@ -33,15 +33,13 @@ class OnboardServices:
         self,
         specs: Iterable[InstanceSpec],
         *,
-        drone: str,
         start_timeout_s: float,
         runtime: Runtime,
         dialer: Dialer,
         journal: Journal,
     ) -> None:
         self._services = {
-            spec.service: _OnboardService(spec, drone, start_timeout_s, runtime, dialer, journal)
-            for spec in specs
+            spec.service: _OnboardService(spec, start_timeout_s, runtime, dialer, journal) for spec in specs
         }
 
     async def start(self) -> None:
@@ -87,7 +85,6 @@ class _Running:
 @dataclass(eq=False)
 class _OnboardService:
     spec: InstanceSpec
-    drone: str
     start_timeout_s: float
     runtime: Runtime
     dialer: Dialer
@@ -133,20 +130,17 @@ class _OnboardService:
                 await running.link.close()
                 await running.instance.stop()
             self.journal.record(schema.LocalEnded(service=self.spec.service, how=how))
-            running = await self._launch_again()
-
-    async def _launch_again(self) -> _Running:
-        while True:
-            try:
-                return await self._launch()
-            except InstanceError as error:
-                self.journal.record(schema.LocalFailed(service=self.spec.service, why=str(error)))
-                await asyncio.sleep(_PAUSE_S)
+            while not self._running.done():
+                try:
+                    running = await self._launch()
+                except InstanceError as error:
+                    self.journal.record(schema.LocalFailed(service=self.spec.service, why=str(error)))
+                    await asyncio.sleep(_PAUSE_S)
 
     async def _launch(self) -> _Running:
         instance = await started(self.runtime, self.spec, within_s=self.start_timeout_s)
         try:
-            await instance.admit(frozenset({self.drone}))
+            await instance.admit(frozenset({self.spec.server}))
         except BaseException:
             await instance.stop()
             raise

@@ -15,7 +15,7 @@ import sys
 import time
 import weakref
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NoReturn, cast
 
 import msgspec
 
@@ -84,28 +84,24 @@ class OwnPolicy:
         if isinstance(choice, str) or choice is None:
             choice = Choice(choice, "its choice")
         if not isinstance(choice, Choice):
-            why = f"returned {choice!r:.200}, and a server's name, None or a Choice is expected"
-        elif choice.server is not None and choice.server not in servers:
-            why = f"named {choice.server!r:.100}, which is not among the servers {servers}"
-        else:
-            return choice
-        raise self._defect("choose", why)
+            self._refuse(
+                "choose", f"returned {choice!r:.200}, and a server's name, None or a Choice is expected"
+            )
+        if choice.server not in (None, *servers):
+            self._refuse("choose", f"named {choice.server!r:.100}, which is not among the servers {servers}")
+        return choice
 
     def decide(self, call: CallInputs) -> Decision:
         """Where the call runs: Wait, Remote or Local."""
-        decision = self._answer("decide", call)
-        match decision:
+        match decision := self._answer("decide", call):
             case Local():
                 return decision
             case Remote(server=call.server, deadline_s=within_s) if 0 < within_s <= _LONGEST_S:
                 return decision
             case Wait(server=call.server, at_most_s=within_s) if 0 < within_s <= _LONGEST_S:
                 return decision
-        raise self._defect(
-            "decide",
-            f"returned {decision!r:.200}: expected Local, or Remote or Wait at {call.server} for up to "
-            f"{_LONGEST_S:g} s",
-        )
+        expected = f"expected Local, or Remote or Wait at {call.server} for up to {_LONGEST_S:g} s"
+        self._refuse("decide", f"returned {decision!r:.200}: {expected}")
 
     def place_in_line(self, line: Line) -> Take | None:
         """The call in line that a free lane takes now, if any."""
@@ -124,31 +120,25 @@ class OwnPolicy:
                     why = f"took call {number}, and the {lane} cannot compute it now"
                 else:
                     return take
-        raise self._defect("place_in_line", why)
+        self._refuse("place_in_line", why)
 
     def where_to_wait(self, stay: Stay) -> str | None:
         """The server of the range where a resting drone waits for answers; None for where it is."""
         server = self._answer("where_to_wait", stay)
         places = [place.server for place in stay.places]
         if server not in places:
-            raise self._defect(
-                "where_to_wait", f"named {server!r:.100}, which is not among the places {places}"
-            )
+            self._refuse("where_to_wait", f"named {server!r:.100}, which is not among the places {places}")
         return cast("str | None", server)
 
     def when_to_act(self, act: LateAct) -> int | None:
         """The number of a gap of the act, where the drone acts then; None for at once."""
-        match self._answer("when_to_act", act):
+        match answer := self._answer("when_to_act", act):
             case None:
                 return None
             case int() as gap if 0 <= gap < len(act.gaps):
                 return gap
-            case other:
-                gaps = counted(len(act.gaps), "gap")
-                raise self._defect(
-                    "when_to_act",
-                    f"returned {other!r:.200}, and None or the number of one of {gaps} is expected",
-                )
+        expected = f"None or the number of one of {counted(len(act.gaps), 'gap')} is expected"
+        self._refuse("when_to_act", f"returned {answer!r:.200}, and {expected}")
 
     def end(self) -> None:
         """Give up the process of the policy, which is not asked any more."""
@@ -178,14 +168,13 @@ class OwnPolicy:
         try:
             question = Ask(method, msgspec.Raw(_encoded(about)))
             return _value(self._told(question, within_s=self._left_s))
-        except NoAnswer:
-            share = (
-                f", as answers may take {_SHARE:.0%} of the time" if self._left_s < ANSWERS_WITHIN_S else ""
-            )
-            self._ended = self._defect(method, f"did not answer within {self._left_s:.2g} s{share}")
-            raise self._ended from None
-        except Crashed as error:
-            self._ended = self._defect(method, str(error))
+        except (NoAnswer, Crashed) as error:
+            what = str(error)
+            if isinstance(error, NoAnswer):
+                slow = self._left_s < ANSWERS_WITHIN_S
+                share = f", as answers may take {_SHARE:.0%} of the time" if slow else ""
+                what = f"did not answer within {self._left_s:.2g} s{share}"
+            self._ended = self._defect(method, what)
             raise self._ended from None
         except _Raised as error:
             raise self._defect(method, f"raised {error}") from error.__cause__
@@ -207,6 +196,9 @@ class OwnPolicy:
         if isinstance(told, Failed):
             raise _Raised(told.why) from _Raised(f"in the process of the policy:\n{told.trace}")
         return told
+
+    def _refuse(self, method: str, what: str) -> NoReturn:
+        raise self._defect(method, what)
 
     def _defect(self, method: str, what: str) -> PolicyDefect:
         return PolicyDefect(f"policy {self.name}: {method} {what}")

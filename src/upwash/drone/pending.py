@@ -93,22 +93,21 @@ class OpenCall:
         """Why the call is over without an answer; "" while it is open, and with an answer."""
         return why_failed(self.task) if self.task.done() else ""
 
-    def wait(self) -> float:
-        """Wait until the last answer is there, or will never be; return for how many seconds."""
-        return self.thread.call(self.over())
-
-    def wait_for_first(self) -> float:
-        """The same of the first answer."""
-
-        async def heard() -> float:
-            return await _waited_s(self.task, self.hearing.first)
-
-        return self.thread.call(heard())
+    def wait(self, *, first: bool = False) -> float:
+        """Wait until the last answer, or the `first`, is there or will never be; return for how many seconds."""
+        return self.thread.call(self._waited_s(first=True) if first else self.over())
 
     async def over(self) -> float:
         """As `wait`, on the loop."""
         self.hearing.waits.set()
-        return await _waited_s(self.task)
+        return await self._waited_s()
+
+    async def _waited_s(self, *, first: bool = False) -> float:
+        begun_s = asyncio.get_running_loop().time()
+        answers = [self.task, self.hearing.first] if first else [self.task]
+        if not any(answer.done() for answer in answers):
+            await asyncio.wait(answers, return_when=asyncio.FIRST_COMPLETED)
+        return asyncio.get_running_loop().time() - begun_s
 
     def end(self) -> None:
         """Have no better answer come, and return when the call is over."""
@@ -117,7 +116,7 @@ class OpenCall:
 
     async def _ended(self) -> None:
         self.hearing.enough.set()
-        await _waited_s(self.task)
+        await self._waited_s()
 
     def drop(self) -> None:
         """Drop the answer; the computation goes on."""
@@ -158,14 +157,6 @@ class OpenCall:
     def note(self, event: schema.Event) -> None:
         """Log an event about the answer."""
         self.thread.post(lambda: self.journal.record(event))
-
-
-async def _waited_s(*answers: asyncio.Future[Any]) -> float:
-    """The seconds until one of the answers is there."""
-    begun_s = asyncio.get_running_loop().time()
-    if not any(answer.done() for answer in answers):
-        await asyncio.wait(answers, return_when=asyncio.FIRST_COMPLETED)
-    return asyncio.get_running_loop().time() - begun_s
 
 
 def why_failed(call: asyncio.Task[Any]) -> str:
@@ -254,7 +245,7 @@ class Pending(Generic[T]):
 
         Where the call is over before, or has one answer, this is that answer; the call's exception is raised.
         """
-        self.call.wait_for_first()
+        self.call.wait(first=True)
         return cast(T, self.call.hand_over())
 
     def cancel(self) -> None:

@@ -89,7 +89,6 @@ def onboard_services(
 def _started_by(ports: CallPorts, config: DroneConfig, instances: Sequence[InstanceSpec]) -> OnboardServices:
     return OnboardServices(
         instances,
-        drone=config.name,
         start_timeout_s=config.start_timeout_s,
         runtime=ports.onboard_runtime,
         dialer=ports.onboard_dialer,

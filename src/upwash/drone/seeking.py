@@ -49,7 +49,6 @@ class Seeking:
     reserve: ReserveWatch
 
     def __post_init__(self) -> None:
-        """Knows the ranges of servers, and no leg that passes them."""
         is_offloading = self.config.policy.name != "local-only"
         areas = server_areas(self.config) if is_offloading else {}
         self._areas = {name: area for name, area in areas.items() if isinstance(area, Circle)}
@@ -116,8 +115,8 @@ class Seeking:
             return None
         passes = following is not None and self._leads_through(list(backlog.servers), following)
         places = [backlog.wait_at(here, here=here), *ranges.values()]
-        server = self.offloading.where_to_wait(Stay(len(operations), places, passes))
-        if server is None:
+        stay, policy = Stay(len(operations), places, passes), self.selection.policy
+        if (server := self.offloading.ask(lambda: policy.where_to_wait(stay))) is None:
             return None
         but.add(server)
         place, extra_s = ranges[server].position, round(ranges[server].extra_s, 1)
@@ -137,11 +136,12 @@ class Seeking:
         local_s, two_answers = self.selection.estimates.local_s, self.selection.two_answers
         computed = [two.first if (two := two_answers.get(each)) else each for each in operations]
         times_s = [time_s for each in computed if (time_s := local_s(each)) is not None]
-        believed = self.offloading.believed(list(dict.fromkeys(operations))) if times_s else {}
+        of_calls, offloading = list(dict.fromkeys(operations)), self.offloading
+        believed = offloading.ask(lambda: offloading.planning.believed(of_calls)) if times_s else {}
         return Backlog(
             photos=len(operations),
             local_s=fmean(times_s) if times_s else 0.0,
-            servers={n: s for n, s in believed.items() if n in self._areas and n not in but},
+            servers={n: s for n, s in (believed or {}).items() if n in self._areas and n not in but},
             gain_switch=self.config.policy.gain_switch,
             ground_speed_m_s=self.config.mission.ground_speed_m_s,
             pace=self.reserve.pace,

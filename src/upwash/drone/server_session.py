@@ -22,26 +22,8 @@ from upwash.errors import (
     UpwashError,
 )
 from upwash.ports import Dialer, Finder, Link, Network
-from upwash.rpc.protocol import (
-    AVAILABILITY,
-    DENY,
-    HEALTH_CHECK,
-    LEAST_LEASE_S,
-    LEAVE,
-    PREPARE,
-    START,
-    AvailabilityReply,
-    AvailabilityRequest,
-    DenyRequest,
-    HoldReply,
-    LeaveRequest,
-    PrepareRequest,
-    StartReply,
-    StartRequest,
-    decode_reply,
-    resolve,
-    service_path,
-)
+from upwash.rpc import protocol
+from upwash.rpc.protocol import decode_reply, resolve, service_path
 from upwash.rpc.service import may_queue
 
 _ANSWER_S = 5.0  # a daemon answers at once or is in trouble
@@ -80,7 +62,7 @@ class ServerSession:
         self._instances: dict[str, tuple[str, Link]] = {}  # with the addresses that they lead to
         self._moves: Counter[str] = Counter()  # of each service, since the last question
         self._former: list[Link] = []  # to former instances
-        self._lease_s = LEAST_LEASE_S
+        self._lease_s = protocol.LEAST_LEASE_S
         self.round_trip_s: float | None = None  # of the last question to the daemon
         self._joined = False
         self._expected = False  # the daemon keeps a slot for the drone, as it answered
@@ -126,7 +108,7 @@ class ServerSession:
         await self._hang_up()
         return self._lost
 
-    async def ask(self) -> AvailabilityReply:
+    async def ask(self) -> protocol.AvailabilityReply:
         """Asks the daemon for a slot, and which services run. Raises LinkError; ServerFull if it has no slot."""
         if self._daemon is None:
             self._daemon = await self._dial_daemon()
@@ -161,8 +143,8 @@ class ServerSession:
         for service in self._server.services:
             if service in self._instances:
                 continue
-            request = StartRequest(self.server, service)
-            reply = await self._asked(START, request, StartReply, timeout_s=timeout_s)
+            request = protocol.StartRequest(self.server, service)
+            reply = await self._asked(protocol.START, request, protocol.StartReply, timeout_s=timeout_s)
             if not reply.endpoint:
                 self._refuse(reply, f"cannot start {service}")
             await self._dial(service, reply.endpoint)
@@ -178,10 +160,10 @@ class ServerSession:
 
     async def prepare(self, peer: ServerEndpoint, *, arrives_in_s: float, hold_s: float) -> None:
         """Asks this server to have its peer start services and hold a slot; raises LinkError if it does not."""
-        request = PrepareRequest(
+        request = protocol.PrepareRequest(
             self.server, peer.name, list(peer.services), arrives_in_s=arrives_in_s, hold_s=hold_s
         )
-        reply = await self._asked(PREPARE, request, HoldReply, timeout_s=_ANSWER_S)
+        reply = await self._asked(protocol.PREPARE, request, protocol.HoldReply, timeout_s=_ANSWER_S)
         if not reply.held:
             raise Refused(reply.reason)
 
@@ -262,7 +244,9 @@ class ServerSession:
         denied, self._denied = sorted(self._denied), set()
         if denied and self._daemon is not None:
             with contextlib.suppress(LinkError):
-                await self._tell(DENY, DenyRequest(self.server, denied), timeout_s=_FAREWELL_S)
+                await self._tell(
+                    protocol.DENY, protocol.DenyRequest(self.server, denied), timeout_s=_FAREWELL_S
+                )
 
     async def end(self, *, in_range: bool) -> bool:
         """Leaves the server: in range after the calls under way, with a message to the daemon; out of range at once.
@@ -278,7 +262,9 @@ class ServerSession:
             await self.tell_denied()
             if self._daemon is not None:
                 with contextlib.suppress(LinkError):
-                    await self._tell(LEAVE, LeaveRequest(self.server), timeout_s=_FAREWELL_S)
+                    await self._tell(
+                        protocol.LEAVE, protocol.LeaveRequest(self.server), timeout_s=_FAREWELL_S
+                    )
                     answered = True
         await self._hang_up()
         await self._network.leave()
@@ -303,18 +289,18 @@ class ServerSession:
             if link is not None:
                 await link.close()
 
-    async def _availability(self, daemon: Link | None = None) -> AvailabilityReply:
-        request = AvailabilityRequest(self.server, list(self._server.services))
+    async def _availability(self, daemon: Link | None = None) -> protocol.AvailabilityReply:
+        request = protocol.AvailabilityRequest(self.server, list(self._server.services))
         asked_s = asyncio.get_running_loop().time()
-        reply = await self._tell(AVAILABILITY, request, timeout_s=_ANSWER_S, daemon=daemon)
+        reply = await self._tell(protocol.AVAILABILITY, request, timeout_s=_ANSWER_S, daemon=daemon)
         self.round_trip_s = asyncio.get_running_loop().time() - asked_s
-        answer = decode_reply(reply, AvailabilityReply, sender=self.server)
+        answer = decode_reply(reply, protocol.AvailabilityReply, sender=self.server)
         if not answer.available:
             self._refuse(answer, "is unavailable")
         self._lease_s, self._expected = answer.lease_s, True
         return answer
 
-    def _raise_if_full(self, reply: AvailabilityReply | StartReply) -> None:
+    def _raise_if_full(self, reply: protocol.AvailabilityReply | protocol.StartReply) -> None:
         if reply.ask_again_s > 0:
             raise ServerFull(
                 f"{self.server}: {reply.reason}",
@@ -322,7 +308,7 @@ class ServerSession:
                 ask_again_s=min(max(_LEAST_ASK_S, reply.ask_again_s), _LONGEST_ASK_S),
             )
 
-    def _refuse(self, reply: AvailabilityReply | StartReply, what: str) -> NoReturn:
+    def _refuse(self, reply: protocol.AvailabilityReply | protocol.StartReply, what: str) -> NoReturn:
         self._raise_if_full(reply)
         if reply.pause_s > 0:
             pause_s = min(reply.pause_s, _LONGEST_PAUSE_S)
@@ -356,4 +342,4 @@ class ServerSession:
 
 async def _connected(instance: Link) -> None:
     with contextlib.suppress(Refused):  # which is an answer too
-        await instance.request(HEALTH_CHECK, b"", timeout_s=_ANSWER_S)
+        await instance.request(protocol.HEALTH_CHECK, b"", timeout_s=_ANSWER_S)

@@ -96,7 +96,7 @@ class Settling:
 
     def hear(self, answer: AnswerAction[Any]) -> bool:
         """Wait for the answer, of two for the first; act on it, or return False where a better one may come."""
-        waited_s = answer.call.wait_for_first()
+        waited_s = answer.call.wait(first=True)
         if not answer.holds() and not answer.call.is_over:
             return False
         answer.finish(waited_s)

@@ -48,7 +48,6 @@ class Several(Settling):
     _left_at: Position | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        """Knows which waypoint follows another."""
         self._following = dict(itertools.pairwise(self.legs.site.waypoints))
 
     @property
@@ -118,7 +117,7 @@ class Several(Settling):
             return
         here, was_away, sought = self.legs.place, self._end is not None, set[str]()
         self.stop()
-        if due := self.late.all():
+        if due := self.late.acts.all():
             self._open += due
             was_away = self.meet(due) is not None
         while any(not answer.call.needs_server for answer in self._open):
@@ -211,7 +210,7 @@ class Several(Settling):
         return now
 
     def _due(self, onwards: Onwards) -> list[AnswerAction[Any]]:
-        due = self.thread.call(self.late.due(onwards)) if self.late else []
+        due = self.thread.call(self.late.due(onwards)) if self.late.acts else []
         self._open += due
         return due
 

@@ -53,7 +53,7 @@ class Stops(Settling):
         self.thread.require_turn()
         here = self.legs.place
         self._settle_open()
-        while acts := self.late.all() + self._taken_owed():
+        while acts := self.late.acts.all() + self._taken_owed():
             self._act(acts)
             self._settle_open()
         if comes_back and here is not None and here != self.legs.place:
@@ -106,7 +106,7 @@ class Stops(Settling):
                 self._open = answer
 
     def _act_before(self, place: Place) -> None:
-        if not (self.late or self._due or self._owed) or self._acts:
+        if not (self.late.acts or self._due or self._owed) or self._acts:
             return
         here, onwards = self.legs.place, Onwards(place, position_of(place))
         due = self.late.due_after(here)
