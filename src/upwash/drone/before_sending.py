@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from msgspec import Struct
@@ -36,28 +37,28 @@ class RunningPart(Struct, frozen=True):
     onboard: OnboardServices
 
 
+@dataclass(eq=False)
 class BeforeSending:
     """Runs the parts before sending, each known by the service whose requests it makes smaller."""
 
-    def __init__(self, parts: Mapping[str, RunningPart], journal: Journal) -> None:
-        self._parts = dict(parts)
-        self._journal = journal
-        self._trying: Sequence[asyncio.Task[Any]] = ()
+    parts: Mapping[str, RunningPart]
+    journal: Journal
+    _trying: Sequence[asyncio.Task[Any]] = field(default=(), init=False)
 
     async def start(self) -> None:
         """Start each part; a part that does not start is logged, and fails at each call."""
-        for part in self._parts.values():
+        for part in self.parts.values():
             try:
                 await part.onboard.start()
             except InstanceError as error:
-                self._journal.record(schema.LocalFailed(service=part.name, why=str(error)))
+                self.journal.record(schema.LocalFailed(service=part.name, why=str(error)))
 
     async def reduce(self, service: str, method: Method, request: bytes, *, deadline_s: float) -> bytes:
         """The request made smaller, or as it is if it has no smaller form; takes at most half of the deadline.
 
         Raises NotReduced.
         """
-        if (part := self._parts.get(service)) is None:
+        if (part := self.parts.get(service)) is None:
             raise NotReduced(f"{service} has no part that was started")
         within_s = min(_OF_DEADLINE * deadline_s, max(_LEAST_S, _FACTOR * part.takes_s))
         trying = begin(self._reduced(part, method, request, within_s))
@@ -89,5 +90,5 @@ class BeforeSending:
     async def close(self) -> None:
         """End each part."""
         await end(*self._trying)
-        for part in self._parts.values():
+        for part in self.parts.values():
             await part.onboard.close()

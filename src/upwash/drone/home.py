@@ -5,7 +5,7 @@ A plan's altitudes above the sea become altitudes above the vehicle's own home, 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import msgspec
@@ -15,7 +15,6 @@ from upwash.config.drone import DroneConfig, MissionConfig, PlanFile
 from upwash.config.places import altitudes_above_sea, is_planned_home
 from upwash.core.geo import Position, ground_distance_m
 from upwash.errors import AutopilotRefused
-from upwash.plans import FlightPlan, PlannedWaypoint
 from upwash.ports import VehicleLimits
 
 HOMES_AGREE_M = 30.0  # the error of a GPS in height, and of the terrain of a ground station
@@ -95,33 +94,25 @@ def above_home(config: DroneConfig, home_above_sea_m: float) -> DroneConfig:
             f"{home_m:g} m above the sea, the vehicle's {home_above_sea_m:g} m (at most {HOMES_AGREE_M:g} m "
             "apart are allowed): correct the planned home, or give altitudes above home; nothing was sent",
         )
-    waypoints = tuple(_above_home(waypoint, home_above_sea_m) for waypoint in file.plan.waypoints)
-    takeoff_m = config.mission.altitude_m
+
+    def converted(what: str, above_sea_m: float) -> float:
+        if (altitude_m := above_sea_m - home_above_sea_m) >= _LOWEST_M:
+            return altitude_m
+        raise AutopilotRefused(
+            "arm",
+            f"{file.file}: {what} is {above_sea_m:g} m above the sea and the vehicle's home "
+            f"{home_above_sea_m:g} m: that is {altitude_m:.1f} m above home, less than {_LOWEST_M:g} m; give an "
+            "altitude above home, or check the vehicle's altitude; nothing was sent",
+        )
+
+    takeoff_m, waypoints = config.mission.altitude_m, []
     if above.takeoff_above_sea_m is not None:
-        takeoff_m = above.takeoff_above_sea_m - home_above_sea_m
-    for what, above_sea_m in _counted_from_sea(above, file.plan.waypoints):
-        if (altitude_m := above_sea_m - home_above_sea_m) < _LOWEST_M:
-            raise AutopilotRefused(
-                "arm",
-                f"{file.file}: {what} is {above_sea_m:g} m above the sea and the vehicle's home "
-                f"{home_above_sea_m:g} m: that is {altitude_m:.1f} m above home, less than {_LOWEST_M:g} m; give an "
-                "altitude above home, or check the vehicle's altitude; nothing was sent",
-            )
-    plan = replace(file.plan, waypoints=waypoints, reference_above_sea_m=home_above_sea_m)
+        takeoff_m = converted("the take-off", above.takeoff_above_sea_m)
+    for waypoint in file.plan.waypoints:
+        place = waypoint.place
+        if waypoint.above_sea_m is not None:
+            place = replace(place, altitude_m=converted(f"item {waypoint.item}", waypoint.above_sea_m))
+        waypoints.append(replace(waypoint, place=place))
+    plan = replace(file.plan, waypoints=tuple(waypoints), reference_above_sea_m=home_above_sea_m)
     mission = msgspec.structs.replace(config.mission, plan=PlanFile(file.file, plan), altitude_m=takeoff_m)
     return msgspec.structs.replace(config, mission=mission)
-
-
-def _above_home(waypoint: PlannedWaypoint, home_above_sea_m: float) -> PlannedWaypoint:
-    if waypoint.above_sea_m is None:
-        return waypoint
-    place = replace(waypoint.place, altitude_m=waypoint.above_sea_m - home_above_sea_m)
-    return replace(waypoint, place=place)
-
-
-def _counted_from_sea(above: FlightPlan, waypoints: Sequence[PlannedWaypoint]) -> Iterator[tuple[str, float]]:
-    if above.takeoff_above_sea_m is not None:
-        yield "the take-off", above.takeoff_above_sea_m
-    for waypoint in waypoints:
-        if waypoint.above_sea_m is not None:
-            yield f"item {waypoint.item}", waypoint.above_sea_m

@@ -15,7 +15,7 @@ import sys
 import time
 import weakref
 from pathlib import Path
-from typing import Any, NoReturn, cast
+from typing import Any, cast
 
 import msgspec
 
@@ -84,11 +84,13 @@ class OwnPolicy:
         if isinstance(choice, str) or choice is None:
             choice = Choice(choice, "its choice")
         if not isinstance(choice, Choice):
-            self._refuse(
+            raise self._defect(
                 "choose", f"returned {choice!r:.200}, and a server's name, None or a Choice is expected"
             )
         if choice.server not in (None, *servers):
-            self._refuse("choose", f"named {choice.server!r:.100}, which is not among the servers {servers}")
+            raise self._defect(
+                "choose", f"named {choice.server!r:.100}, which is not among the servers {servers}"
+            )
         return choice
 
     def decide(self, call: CallInputs) -> Decision:
@@ -101,7 +103,7 @@ class OwnPolicy:
             case Wait(server=call.server, at_most_s=within_s) if 0 < within_s <= _LONGEST_S:
                 return decision
         expected = f"expected Local, or Remote or Wait at {call.server} for up to {_LONGEST_S:g} s"
-        self._refuse("decide", f"returned {decision!r:.200}: {expected}")
+        raise self._defect("decide", f"returned {decision!r:.200}: {expected}")
 
     def place_in_line(self, line: Line) -> Take | None:
         """The call in line that a free lane takes now, if any."""
@@ -120,14 +122,16 @@ class OwnPolicy:
                     why = f"took call {number}, and the {lane} cannot compute it now"
                 else:
                     return take
-        self._refuse("place_in_line", why)
+        raise self._defect("place_in_line", why)
 
     def where_to_wait(self, stay: Stay) -> str | None:
         """The server of the range where a resting drone waits for answers; None for where it is."""
         server = self._answer("where_to_wait", stay)
         places = [place.server for place in stay.places]
         if server not in places:
-            self._refuse("where_to_wait", f"named {server!r:.100}, which is not among the places {places}")
+            raise self._defect(
+                "where_to_wait", f"named {server!r:.100}, which is not among the places {places}"
+            )
         return cast("str | None", server)
 
     def when_to_act(self, act: LateAct) -> int | None:
@@ -138,7 +142,7 @@ class OwnPolicy:
             case int() as gap if 0 <= gap < len(act.gaps):
                 return gap
         expected = f"None or the number of one of {counted(len(act.gaps), 'gap')} is expected"
-        self._refuse("when_to_act", f"returned {answer!r:.200}, and {expected}")
+        raise self._defect("when_to_act", f"returned {answer!r:.200}, and {expected}")
 
     def end(self) -> None:
         """Give up the process of the policy, which is not asked any more."""
@@ -196,9 +200,6 @@ class OwnPolicy:
         if isinstance(told, Failed):
             raise _Raised(told.why) from _Raised(f"in the process of the policy:\n{told.trace}")
         return told
-
-    def _refuse(self, method: str, what: str) -> NoReturn:
-        raise self._defect(method, what)
 
     def _defect(self, method: str, what: str) -> PolicyDefect:
         return PolicyDefect(f"policy {self.name}: {method} {what}")

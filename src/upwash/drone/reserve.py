@@ -74,11 +74,9 @@ class ReserveWatch:
 
     def _look(self) -> str:
         told = self._autopilot.telemetry
-        percent = told.battery_percent
-        if self._energy is not None:
-            now = (
-                self._in_flight(self._energy) if self._legs.in_the_air else self._before_flight(self._energy)
-            )
+        percent, energy = told.battery_percent, self._energy
+        if energy is not None:
+            now = self._in_flight(energy) if self._legs.in_the_air else self._before_flight(energy)
             if now is not None and now.turn_back:
                 return str(now)
         if percent is not None and self._least_percent is not None and percent < self._least_percent:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from upwash.config.drone import DroneConfig
 from upwash.config.places import movable_waypoints, waypoints
-from upwash.core.geo import Waypoint
+from upwash.core.geo import Position, ground_distance_m
 from upwash.core.planning.order import Order
 from upwash.core.vehicle.control import Owner
 from upwash.drone.objects import FlightObjects
@@ -29,7 +28,7 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
     answer, or the action that the answer demands, is due. Raises UsageError for the log of another or a completed
     mission.
     """
-    plan = {waypoint.index: waypoint for waypoint in waypoints(config.mission)}
+    plan = {waypoint.index: waypoint.position for waypoint in waypoints(config.mission)}
     results: dict[int, int] = {}  # of the last visit to each waypoint
     left: set[int] = set()
     owed = OpenDemands()
@@ -54,7 +53,7 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
                 left.add(here)
                 here = None
             case schema.Arrived(waypoint=int(index), east_m=east_m, north_m=north_m):
-                _require_same_place(index, east_m, north_m, plan.get(index))
+                _require_same_place(index, Position(east_m, north_m), plan)
                 here = index
                 if index != back_at or index not in results:
                     results[index] = 0
@@ -129,18 +128,13 @@ def _require_same_drone(started: schema.MissionStarted, config: DroneConfig, pla
     if started.drone != config.name:
         raise UsageError(f"this log is of the drone {started.drone}, not of {config.name}")
     if started.waypoints != planned:
-        raise UsageError(
-            f"this log is of another plan: it had {counted(started.waypoints, 'waypoint')}, "
-            f"and the plan has {planned}"
-        )
+        had = counted(started.waypoints, "waypoint")
+        raise UsageError(f"this log is of another plan: it had {had}, and the plan has {planned}")
 
 
-def _require_same_place(index: int, east_m: float, north_m: float, planned: Waypoint | None) -> None:
-    if planned is None:
+def _require_same_place(index: int, logged: Position, plan: Mapping[int, Position]) -> None:
+    if (planned := plan.get(index)) is None:
         raise UsageError(f"this log is of another plan: the plan has no waypoint {index}")
-    place = planned.position
-    off_m = math.hypot(place.east_m - east_m, place.north_m - north_m)
-    if off_m > _SAME_PLACE_M:
-        raise UsageError(
-            f"this log is of another plan: waypoint {planned.index} was {off_m:.2f} m from where it is now"
-        )
+    if (off_m := ground_distance_m(planned, logged)) > _SAME_PLACE_M:
+        where = f"waypoint {index} was {off_m:.2f} m from where it is now"
+        raise UsageError(f"this log is of another plan: {where}")

@@ -60,12 +60,9 @@ class Site(Struct, frozen=True):
     def require_leg(self, limits: VehicleLimits, start: Position, target: Position) -> None:
         """Raises AutopilotRefused if the plan's geofence or the vehicle's own fence forbids the leg."""
         step = f"goto {target.east_m:.1f} m east, {target.north_m:.1f} m north"
-        if (fence := breached_by_move(self.fences, start, target)) is not None:
-            raise AutopilotRefused(
-                step, f"{fence.name} of the plan's geofence is in the way; nothing was sent"
-            )
-        if (fence := breached_by_move(limits.fences, start, target)) is not None:
-            raise AutopilotRefused(step, f"{fence.name} is in the way; nothing was sent")
+        for fences, whose in ((self.fences, " of the plan's geofence"), (limits.fences, "")):
+            if (fence := breached_by_move(fences, start, target)) is not None:
+                raise AutopilotRefused(step, f"{fence.name}{whose} is in the way; nothing was sent")
         require_altitude(limits, target.altitude_m, step=step)
 
     def allows_leg(self, limits: VehicleLimits, start: Position, target: Position) -> bool:
@@ -85,26 +82,20 @@ class Site(Struct, frozen=True):
                 "its way home and the fence around its home are others"
             )
         if limits.untold:
-            yield (
-                f"the vehicle did not tell {', '.join(limits.untold)}: the mission is not held against all of its "
-                "own fence"
-            )
+            untold = ", ".join(limits.untold)
+            yield f"the vehicle did not tell {untold}: the mission is not held against all of its own fence"
         yield from itertools.islice(self._too_near(limits), 1)
-        home = _home(limits, vehicle)
+        home, crossing = _home(limits, vehicle), dict[int, Fence]()
         yield from self._returns_elsewhere(limits.rally, home)
-        crossing = [
-            (waypoint.index, fence)
-            for waypoint in self.waypoints
-            for end in (limits.rally.chosen(waypoint.position, home).position,)
-            if (fence := breached_by_leg(limits.fences, waypoint.position, end)) is not None
-        ]
+        for waypoint in self.waypoints:
+            end = limits.rally.chosen(waypoint.position, home).position
+            if (fence := breached_by_leg(limits.fences, waypoint.position, end)) is not None:
+                crossing[waypoint.index] = fence
         if crossing:
-            indices, (_, fence) = [index for index, _ in crossing], crossing[0]
             yield (
-                f"a straight way home from {_waypoints(indices)} leaves {fence.name}"
-                if fence.inclusion
-                else f"a straight way home from {_waypoints(indices)} crosses {fence.name}"
-            ) + ": a return that begins there, by a fail-safe too, breaches the vehicle's own fence"
+                f"a straight way home from {_waypoints(list(crossing))} {_crosses(next(iter(crossing.values())))}: a "
+                "return that begins there, by a fail-safe too, breaches the vehicle's own fence"
+            )
 
     def _returns_elsewhere(self, rally: RallyPoints, home: Position) -> Iterator[str]:
         """Warnings about rally points, where returns end instead of at home."""
@@ -143,30 +134,30 @@ class Site(Struct, frozen=True):
 
     def _places(self) -> Iterator[tuple[str, Position]]:
         for waypoint in self.waypoints:
-            for via in waypoint.via:
-                yield (
-                    f"a place on the way to waypoint {waypoint.index} ({_place(via.position)})",
-                    via.position,
-                )
+            for place in (via.position for via in waypoint.via):
+                yield f"a place on the way to waypoint {waypoint.index} ({_place(place)})", place
             yield f"waypoint {waypoint.index}", waypoint.position
-        for via in self.leaving:
-            yield f"a place after the last photo ({_place(via.position)})", via.position
+        for place in (via.position for via in self.leaving):
+            yield f"a place after the last photo ({_place(place)})", place
 
     def _too_near(self, limits: VehicleLimits) -> Iterator[str]:
         """Warnings about places nearer to the fence than the vehicle's margin, where it may overshoot."""
-        names, margin_m = limits.names, limits.margin_m
-        spots = [(name, place.altitude_m) for name, place in self._places()]
-        for what, altitude_m in [("the take-off", self.takeoff_m), *spots]:
+        names, margin_m, places = limits.names, limits.margin_m, list(self._places())
+        overshoots = "the vehicle may overshoot into its own fence"
+        for what, altitude_m in [
+            ("the take-off", self.takeoff_m),
+            *((it, at.altitude_m) for it, at in places),
+        ]:
             if limits.highest_m is not None and limits.highest_m - altitude_m < margin_m:
                 yield (
                     f"{what} at {altitude_m:g} m is nearer than {names.margin} = {margin_m:g} m to "
-                    f"{names.highest} = {limits.highest_m:g} m: the vehicle may overshoot into its own fence"
+                    f"{names.highest} = {limits.highest_m:g} m: {overshoots}"
                 )
-        for (name, place), fence in itertools.product(self._places(), limits.fences):
+        for (name, place), fence in itertools.product(places, limits.fences):
             if (clearance_m := fence.clearance_m(place)) < margin_m:
                 yield (
                     f"{name} is {clearance_m:.1f} m from the border of {fence.name}, nearer than "
-                    f"{names.margin} = {margin_m:g} m: the vehicle may overshoot into its own fence"
+                    f"{names.margin} = {margin_m:g} m: {overshoots}"
                 )
 
 
@@ -185,8 +176,7 @@ def _outside_altitudes(limits: VehicleLimits, altitude_m: float) -> str:
 
 
 def _outside_areas(limits: VehicleLimits, place: Position) -> str:
-    fence = breached_by_position(limits.fences, place)
-    if fence is None:
+    if (fence := breached_by_position(limits.fences, place)) is None:
         return ""
     apart = ""
     if isinstance(fence.area, Circle):
@@ -197,7 +187,11 @@ def _outside_areas(limits: VehicleLimits, place: Position) -> str:
 
 def _crossed_areas(limits: VehicleLimits, start: Position, end: Position) -> str:
     fence = breached_by_leg(limits.fences, start, end)
-    return "" if fence is None else f"{'leaves' if fence.inclusion else 'crosses'} {fence.name}"
+    return "" if fence is None else _crosses(fence)
+
+
+def _crosses(fence: Fence) -> str:
+    return f"{'leaves' if fence.inclusion else 'crosses'} {fence.name}"
 
 
 def _home(limits: VehicleLimits, vehicle: Position) -> Position:
@@ -209,9 +203,10 @@ def _place(place: Position) -> str:
 
 
 def _waypoints(indices: Sequence[int]) -> str:
-    if len(indices) == 1:
-        return f"waypoint {indices[0]}"
-    return f"{len(indices)} waypoints, the first of them {indices[0]},"
+    first = indices[0]
+    return (
+        f"waypoint {first}" if len(indices) == 1 else f"{len(indices)} waypoints, the first of them {first},"
+    )
 
 
 def _far(distance_m: float) -> str:

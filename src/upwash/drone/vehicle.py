@@ -133,10 +133,9 @@ class Vehicle:
         """
         if severity not in SEVERITIES:
             raise UsageError(f"send_text: no severity {severity!r}: choose of {', '.join(SEVERITIES)}")
-        if not 0 < (size := len(text.encode())) <= _LONGEST_TEXT_BYTES:
-            raise UsageError(
-                f"send_text: {size} bytes: give a text of 1 to {_LONGEST_TEXT_BYTES} bytes in UTF-8"
-            )
+        size, most = len(text.encode()), _LONGEST_TEXT_BYTES
+        if not 0 < size <= most:
+            raise UsageError(f"send_text: {size} bytes: give a text of 1 to {most} bytes in UTF-8")
         self._thread.call(self._send_text(SEVERITIES.index(severity), text))
 
     def hover(self, duration_s: float) -> None:
@@ -173,11 +172,9 @@ class Vehicle:
 
     async def _descend(self, how: ComingDown) -> None:
         self._tell(DescentBegun())
-        here = rounded(self._autopilot.position)
-        self._journal.record(
-            schema.Returning(position=here) if how == "return" else schema.Landing(position=here)
-        )
-        await (self._homecoming.return_and_land() if how == "return" else self._homecoming.land())
+        here, returns = rounded(self._autopilot.position), how == "return"
+        self._journal.record(schema.Returning(position=here) if returns else schema.Landing(position=here))
+        await (self._homecoming.return_and_land() if returns else self._homecoming.land())
         self._journal.record(self._homecoming.landed())
 
     async def _turn_to(self, heading_deg: float) -> None:
@@ -218,9 +215,8 @@ class Vehicle:
         self._tell(TargetUnknown())
         self._journal.record(schema.TakingOff(altitude_m=altitude_m))
         await self._autopilot.takeoff(altitude_m)
-        self._journal.record(
-            schema.TookOff(altitude_m=altitude_m, position=rounded(self._autopilot.position))
-        )
+        here = rounded(self._autopilot.position)
+        self._journal.record(schema.TookOff(altitude_m=altitude_m, position=here))
 
     async def _climb(self, altitude_m: float) -> None:
         here = self._autopilot.position
