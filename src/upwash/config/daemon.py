@@ -9,7 +9,7 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from upwash.config import values
-from upwash.config.problems import Problem, metrics_problems, name_problems, unknown
+from upwash.config.problems import Problem, address_problems, metrics_problems, name_problems, unknown
 from upwash.config.reading import Document, convert, read_document, refuse_first
 from upwash.config.runtime import (
     Cpus,
@@ -205,9 +205,8 @@ def _problems(config: DaemonConfig) -> Iterator[Problem]:
     for index, peer in enumerate(config.peers):
         if peer.name in [identity.name for identity in config.identities]:
             yield f"peer[{index}].name", f"{peer.name} is this daemon itself: name servers of other daemons"
-        if not values.is_address(peer.address):
-            yield f"peer[{index}].address", f'expected "host:port" or "unix:path", found "{peer.address}"'
-        elif not is_reached and not values.is_on_this_machine(peer.address):
+        yield from address_problems(f"peer[{index}].address", peer.address)
+        if not is_reached and not values.is_on_this_machine(peer.address):
             problem = f'"{peer.address}" is another machine: give [keys], and a "host:port" to listen on'
             yield f"peer[{index}].address", problem
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
 from msgspec import Meta, Struct
 
 from upwash.config import values
-from upwash.config.problems import Problem, name_problems
+from upwash.config.problems import address_problems, name_problems
 from upwash.config.reading import convert, read_document, refuse_first
 
 
@@ -39,13 +38,7 @@ def read_inventory(file: Path) -> tuple[ListedServer, ...]:
     """The servers of the file; raises ConfigError."""
     document = read_document(file)
     servers = convert(document, _Inventory, file=file, as_written=document).servers
-    refuse_first(file, _problems(servers))
-    return servers
-
-
-def _problems(servers: tuple[ListedServer, ...]) -> Iterator[Problem]:
-    yield from name_problems("server", [server.name for server in servers])
+    refuse_first(file, name_problems("server", [server.name for server in servers]))
     for index, server in enumerate(servers):
-        if not values.is_address(server.address):
-            problem = f'expected "host:port" or "unix:path", found "{server.address}"'
-            yield f"server[{index}].address", problem
+        refuse_first(file, address_problems(f"server[{index}].address", server.address))
+    return servers

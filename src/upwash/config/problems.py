@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Collection, Iterable, Iterator
 
-from upwash.config.values import is_listening_address
+from upwash.config.values import is_address, is_listening_address
 from upwash.core.operation import ON_DRONE
 
 Problem = tuple[str, str]  # the key, and what is wrong with it
@@ -70,6 +70,12 @@ def repeated(names: list[str]) -> list[tuple[int, str]]:
     """The names that stand earlier in the list too, each with its index."""
     first: dict[str, int] = {}
     return [(index, name) for index, name in enumerate(names) if first.setdefault(name, index) < index]
+
+
+def address_problems(key: str, address: str) -> Iterator[Problem]:
+    """What is wrong with the address of a daemon."""
+    if not is_address(address):
+        yield key, f'expected "host:port" or "unix:path", found "{address}"'
 
 
 def metrics_problems(metrics: str | None, hosts: Collection[str]) -> Iterator[Problem]:

@@ -22,11 +22,11 @@ def written_out(document: Document, folder: Path) -> Document:
 
     A service with a program of its own and without a delay on the drone gets an infinite delay: only servers run it.
     """
-    found = document.get("service")
-    if isinstance(found, list):
-        found = [_with_local_keys(table, document) if isinstance(table, dict) else table for table in found]
+    services: list[dict[str, Any]] = []
+    if isinstance(found := document.get("service"), list):
+        found = each_table(found, lambda table: _with_local_keys(table, document))
         document = document | {"service": found}
-    services = [table for table in found if isinstance(table, dict)] if isinstance(found, list) else []
+        services = [table for table in found if isinstance(table, dict)]
     changes: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
         "camera": lambda table: _with_film_from(table, folder),
         "mission": lambda table: _with_program_from(table, folder),
@@ -56,10 +56,10 @@ def _with_local_keys(service: dict[str, Any], document: Document) -> dict[str, A
     return service | {"local_call_s": dict.fromkeys(keys, math.inf)}
 
 
-def each_table(value: object, write_out: Callable[[dict[str, Any]], dict[str, Any]]) -> object:
+def each_table(value: Any, write_out: Callable[[dict[str, Any]], dict[str, Any]]) -> Any:
     """The table written out, or each table of an array; other values stay as they are."""
     if isinstance(value, list):
-        return [write_out(item) if isinstance(item, dict) else item for item in value]
+        return [each_table(item, write_out) if isinstance(item, dict) else item for item in value]
     return write_out(value) if isinstance(value, dict) else value
 
 
@@ -82,9 +82,8 @@ def _with_path_from(table: dict[str, Any], key: str, folder: Path) -> dict[str, 
 
 def _with_film_from(table: dict[str, Any], folder: Path) -> dict[str, Any]:
     device = table.get("device")
-    if not isinstance(device, str) or not is_file(folder / device):
-        return table
-    return table | {"device": str(folder / device)}
+    is_film = isinstance(device, str) and is_file(folder / device)
+    return table | {"device": str(folder / device)} if is_film else table
 
 
 def is_file(path: Path) -> bool:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
 from collections.abc import Iterator, Mapping, Sequence
 
 from msgspec import Struct, structs
 
-from upwash.config.drone import DroneConfig, ServiceConfig
+from upwash.config.drone import DroneConfig
 from upwash.config.places import server_areas
 from upwash.config.traces import read_service_times
 from upwash.config.truth import keys_of
@@ -91,20 +92,13 @@ def _measured(
     known: dict[tuple[str, Operation], list[float]] = {}
     for server in config.servers:
         times = read_service_times(server.times_csv) if server.times_csv is not None else {}
-        for operation in deadlines:
-            for name, seconds in times.items():
-                if _names(name, operation, config.services):
-                    known.setdefault((server.name, operation), []).extend(seconds)
+        for operation, (name, seconds) in itertools.product(deadlines, times.items()):
+            own = {(operation.service, key) for key in (operation.key, operation.method, "")}
+            if name == str(operation) or not own.isdisjoint(keys_of(name, config.services)):
+                known.setdefault((server.name, operation), []).extend(seconds)
     for times_s in known.values():  # the flight forgets the first ones first, and a file may be sorted
         random.Random(0).shuffle(times_s)  # noqa: S311 - no secret
     return deadlines, known
-
-
-def _names(name: str, operation: Operation, services: Sequence[ServiceConfig]) -> bool:
-    keys = set(keys_of(name, services))
-    return name == str(operation) or bool(
-        keys & {(operation.service, key) for key in (operation.key, operation.method, "")}
-    )
 
 
 def _prospects(

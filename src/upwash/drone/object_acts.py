@@ -114,8 +114,7 @@ class ObjectAct(AnswerAction[Any]):
 
     def demands(self) -> bool:
         """Whether the object is wanted; its place is that of now."""
-        holds = self.holds()
-        if holds:
+        if holds := self.holds():
             self._locate()
         return holds
 

@@ -29,7 +29,7 @@ from upwash.core.geo import (
     part_way,
     rounded,
 )
-from upwash.core.vehicle.telemetry import Attitude, FixKind, GpsFix, Telemetry
+from upwash.core.vehicle.telemetry import Attitude, FixKind, Telemetry
 from upwash.drone.answered_photos import AnsweredPhotos
 from upwash.drone.mission import MissionThread
 from upwash.drone.objects import FlightObjects
@@ -189,27 +189,21 @@ class Photographer:
         if own is not None:
             speed_m_s = shot.told.velocity.speed_m_s if shot.told.velocity else _QUICK_M_S
             reach_m = _RECEIVERS_M + flown_m + _OWN_PLACE_S * speed_m_s
-            away_m = _away_m(shot.earth, own)
-            if away_m <= reach_m:
+            if (away_m := _away_m(shot.earth, own)) <= reach_m:
                 return photo.jpeg
-            self._doubt_place(
-                photo,
-                "own place",
+            why = (
                 f"the camera's own place ({own[0]:.6f}, {own[1]:.6f}) is {away_m:,.0f} m from the drone, which can "
-                f"have flown {reach_m:.0f} m at most: the drone's place is written into it, and into others like it",
+                f"have flown {reach_m:.0f} m at most: the drone's place is written into it, and into others like it"
             )
+            self._record_once("own place", schema.PhotoPlaceDoubted(source=photo.source, why=why))
         placed = with_place(photo.jpeg, _place(shot.earth, shot.told, geometry))
         if placed is photo.jpeg and size_of(placed) is not None:  # the bytes of a model have no size
-            self._doubt_place(
-                photo,
-                "not placed",
+            why = (
                 "the drone's place could not be written into it, as its header is damaged or full: the log has the "
-                "place; have the camera write plain JPEG files",
+                "place; have the camera write plain JPEG files"
             )
+            self._record_once("not placed", schema.PhotoPlaceDoubted(source=photo.source, why=why))
         return placed
-
-    def _doubt_place(self, photo: Photo, kind: str, why: str) -> None:
-        self._record_once(kind, schema.PhotoPlaceDoubted(source=photo.source, why=why))
 
     def _record_once(self, what: str, event: schema.Event) -> None:
         if what not in self._told:
@@ -219,13 +213,12 @@ class Photographer:
     def _doubt_clock(self, photo: Photo) -> None:
         """Records that the camera's clock is wrong, or this computer's."""
         if (other := photo.other_clock) is not None:
-            behind_s = round((other.own - other.camera).total_seconds(), 1)
-            self._record_once(
-                "clock",
-                schema.CameraClockDiffers(
-                    source=photo.source, camera=other.camera, clock=other.own, behind_s=behind_s
-                ),
+            camera, own = other.camera, other.own
+            behind_s = round((own - camera).total_seconds(), 1)
+            differs = schema.CameraClockDiffers(
+                source=photo.source, camera=camera, clock=own, behind_s=behind_s
             )
+            self._record_once("clock", differs)
 
     async def _kept(
         self, jpeg: bytes, source: str, earth: EarthPosition | None, geometry: PhotoGeometry | None
@@ -243,10 +236,8 @@ class Photographer:
             return source
 
     def _moment(self) -> _Moment:
-        vehicle = self._autopilot
-        return _Moment(
-            asyncio.get_running_loop().time(), vehicle.position, vehicle.earth_position, vehicle.telemetry
-        )
+        vehicle, at_s = self._autopilot, asyncio.get_running_loop().time()
+        return _Moment(at_s, vehicle.position, vehicle.earth_position, vehicle.telemetry)
 
     def _geometry(self, photo: Photo, shot: _Moment) -> PhotoGeometry | None:
         told, size_px = shot.told, size_of(photo.jpeg) if photo.lens else None
@@ -318,23 +309,19 @@ def _between(before: float | None, after: float | None, share: float) -> float |
 
 def _accuracy(told: Telemetry, lens: Lens) -> Accuracy:
     """The standard errors of the photo's pose, by the receiver's fix, the speed and the mount."""
-    usual = Accuracy()
+    usual, gps = Accuracy(), told.gps
+    fix_m = usual.position_m  # to each side
+    if gps is not None and gps.error_m is not None:
+        fix_m = gps.error_m / math.sqrt(2)
+    elif gps is not None:
+        fix_m = _FIX_M[gps.kind] * max(1.0, gps.hdop or 1.0)
     moved_m = _REPORT_S * (told.velocity.speed_m_s if told.velocity else 0.0)
     return Accuracy(
-        position_m=round(math.hypot(_fix_m(told.gps), moved_m), 3),
+        position_m=round(math.hypot(fix_m, moved_m), 3),
         altitude_m=usual.altitude_m,
         tilt_deg=_GIMBAL_DEG if lens.on_gimbal else usual.tilt_deg,
         heading_deg=usual.heading_deg,
     )
-
-
-def _fix_m(gps: GpsFix | None) -> float:
-    """The standard error of a position to each side."""
-    if gps is None:
-        return Accuracy().position_m
-    if gps.error_m is not None:
-        return gps.error_m / math.sqrt(2)
-    return _FIX_M[gps.kind] * max(1.0, gps.hdop or 1.0)
 
 
 def _away_m(earth: EarthPosition, place: tuple[float, float]) -> float:

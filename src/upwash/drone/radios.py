@@ -7,7 +7,6 @@ worker at its server. A worker carries commands out one after the other.
 from __future__ import annotations
 
 import asyncio
-import functools
 from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NoReturn, TypeVar
@@ -183,9 +182,8 @@ class RadioWorker:
             self.tell(events.NetworkGone(check, why))
 
     async def _start(self, session: ServerSession, command: Start) -> None:
-        start = functools.partial(session.start, timeout_s=command.limit_s)
         try:
-            await self._with_slot(start, command.check)
+            await self._with_slot(lambda: session.start(timeout_s=command.limit_s), command.check)
         except LinkError as error:
             self.tell(_failed(command.check, error))
             return

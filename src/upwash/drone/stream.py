@@ -45,15 +45,9 @@ def photo_method(spec: ServiceSpec) -> Method | None:
     """The service's first method that takes a photo and needs nothing besides, but its profile key; None if none."""
     for method in spec.methods.values():
         parameters = list(method.signature.parameters.values())
-        takes_photo = bool(parameters) and parameters[0].annotation in (bytes, "bytes")
-        if (
-            takes_photo
-            and not method.once
-            and all(
-                other.name == method.profile_by or other.default is not other.empty
-                for other in parameters[1:]
-            )
-        ):
+        if method.once or not parameters or parameters[0].annotation not in (bytes, "bytes"):
+            continue
+        if all(each.name == method.profile_by or each.default is not each.empty for each in parameters[1:]):
             return method
     return None
 
