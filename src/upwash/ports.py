@@ -241,8 +241,13 @@ class Link(Protocol):
     def is_far(self) -> bool:
         """Whether connecting may take longer than a call's deadline; the drone then first waits for an answer."""
 
-    async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
-        """Sends one request and returns its reply; raises LinkError. Cancelling it tells the other side."""
+    async def request(
+        self, path: str, body: bytes, *, timeout_s: float, may_queue_s: float | None = None
+    ) -> bytes:
+        """Sends one request and returns its reply; raises LinkError. Cancelling it tells the other side.
+
+        An instance need not begin a call after `may_queue_s`; None: the call waits as long as its caller.
+        """
 
     async def close(self) -> None:
         """Closes the connection at once; every request under way fails."""

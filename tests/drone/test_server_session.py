@@ -53,7 +53,9 @@ class Link:
         self._field = field
         self._address = address
 
-    async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
+    async def request(
+        self, path: str, body: bytes, *, timeout_s: float, may_queue_s: float | None = None
+    ) -> bytes:
         self._field.said.append((self._address, path))
         self._field.bodies.append(msgspec.msgpack.decode(body) if body else None)
         self._field.timeouts_s.append(timeout_s)

@@ -69,12 +69,14 @@ class FormerLink:
         self._link = link
         self.is_far = link.is_far
 
-    async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
+    async def request(
+        self, path: str, body: bytes, *, timeout_s: float, may_queue_s: float | None = None
+    ) -> bytes:
         asked, answered = MESSAGES.get(path, (None, None))
         if asked is not None:
             msgspec.msgpack.decode(body, type=asked)
         try:
-            reply = await self._link.request(path, body, timeout_s=timeout_s)
+            reply = await self._link.request(path, body, timeout_s=timeout_s, may_queue_s=may_queue_s)
         except NoLease as error:
             raise Refused(str(error)) from error
         return msgspec.msgpack.encode(decode_reply(reply, answered, sender="s1")) if answered else reply

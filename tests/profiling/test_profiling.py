@@ -126,7 +126,9 @@ class Computer:
 
     is_far = False
 
-    async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
+    async def request(
+        self, path: str, body: bytes, *, timeout_s: float, may_queue_s: float | None = None
+    ) -> bytes:
         self.paths.append(path)
         await asyncio.sleep(LATENCY_S + len(body) / self.bytes_per_s)
         if path == AVAILABILITY:
@@ -255,12 +257,16 @@ def test_a_way_too_fast_to_measure_is_said_to_be_so() -> None:
 
 
 class Dead(Computer):
-    async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
+    async def request(
+        self, path: str, body: bytes, *, timeout_s: float, may_queue_s: float | None = None
+    ) -> bytes:
         raise Unreachable("s1 does not answer")
 
 
 class Full(Computer):
-    async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
+    async def request(
+        self, path: str, body: bytes, *, timeout_s: float, may_queue_s: float | None = None
+    ) -> bytes:
         return msgspec.msgpack.encode(AvailabilityReply(available=False, reason="no slot is free"))
 
 

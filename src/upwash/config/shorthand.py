@@ -82,8 +82,9 @@ def _with_path_from(table: dict[str, Any], key: str, folder: Path) -> dict[str, 
 
 def _with_film_from(table: dict[str, Any], folder: Path) -> dict[str, Any]:
     device = table.get("device")
-    is_film = isinstance(device, str) and is_file(folder / device)
-    return table | {"device": str(folder / device)} if is_film else table
+    if isinstance(device, str) and is_file(folder / device):
+        return table | {"device": str(folder / device)}
+    return table
 
 
 def is_file(path: Path) -> bool:

@@ -192,7 +192,7 @@ class Offloading:
 
     def tell(self, event: CallEvent | SelectionEvent) -> None:
         """Pass the event to the core, and carry out its instructions."""
-        self.ask(lambda: self._handle(event, now_s()))
+        self._happens(event, now_s())
 
     async def invoke(
         self,
@@ -274,15 +274,20 @@ class Offloading:
 
     # --- the core -------------------------------------------------------------------------------------------
 
-    def _handle(self, event: CallEvent | SelectionEvent, at_s: float) -> None:
-        told, news = self._calls.told, self._calls.news
-        for step in self._calls.handle(event, now_s=at_s, position=self._autopilot.position):
-            self._perform(step)
-        if self._calls.told > told:  # so that the next look may have moved
-            self._looks.set_alarm()
-        if self._calls.news > news:
-            self._note_news()
-        self._set_alarm()
+    def _happens(self, event: CallEvent | SelectionEvent, at_s: float) -> None:
+        if self._failed:
+            return
+        calls, told, news = self._calls, self._calls.told, self._calls.news
+        try:
+            for step in calls.handle(event, now_s=at_s, position=self._autopilot.position):
+                self._perform(step)
+            if calls.told > told:  # so that the next look may have moved
+                self._looks.set_alarm()
+            if calls.news > news:
+                self._note_news()
+            self._set_alarm()
+        except Exception as error:  # noqa: BLE001 - whatever it is, the drone flies on
+            self._fail(error)
 
     def _note_news(self) -> None:
         if self._news is not None:
@@ -293,7 +298,7 @@ class Offloading:
 
     def _look_at_calls(self) -> None:
         self._look_due = None
-        self.ask(lambda: self._handle(steps.News(), now_s()))
+        self.tell(steps.News())
 
     def _set_alarm(self) -> None:
         due_s = self._calls.due_s
@@ -306,7 +311,7 @@ class Offloading:
 
     def _ring(self, due_s: float) -> None:
         self._alarm = None
-        self.ask(lambda: self._handle(steps.News(), max(due_s, now_s())))
+        self._happens(steps.News(), max(due_s, now_s()))
 
     async def happened(self) -> None:
         """Return after the next event of the core."""

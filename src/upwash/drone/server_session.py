@@ -24,7 +24,6 @@ from upwash.errors import (
 from upwash.ports import Dialer, Finder, Link, Network
 from upwash.rpc import protocol
 from upwash.rpc.protocol import decode_reply, resolve, service_path
-from upwash.rpc.service import may_queue
 
 _ANSWER_S = 5.0  # a daemon answers at once or is in trouble
 _FAREWELL_S = 0.5
@@ -224,8 +223,8 @@ class ServerSession:
         self._calls += 1
         self._quiet.clear()
         try:
-            sent = request if may_queue_s is None else may_queue(request, may_queue_s)
-            return await instance.request(service_path(service, method), sent, timeout_s=deadline_s)
+            path = service_path(service, method)
+            return await instance.request(path, request, timeout_s=deadline_s, may_queue_s=may_queue_s)
         except LinkError as error:
             if self._lost:
                 raise Unreachable(f"{self.server}: its network was lost: {self._lost}") from error

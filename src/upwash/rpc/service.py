@@ -95,7 +95,7 @@ class ServiceFault(msgspec.Struct, frozen=True):
 
 
 class Request(bytes):
-    """An encoded call that its instance need not begin after `may_queue_s`; None: it waits as long as its caller."""
+    """A simulated call that its instance need not begin after `may_queue_s`; None: it waits as long as its caller."""
 
     may_queue_s: float | None = None
 

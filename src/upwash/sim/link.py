@@ -17,7 +17,7 @@ from upwash.errors import (
     Unreachable,
     UpwashError,
 )
-from upwash.rpc.service import Reduced
+from upwash.rpc.service import Reduced, may_queue
 from upwash.support.background import begin
 from upwash.support.text import printable
 
@@ -94,12 +94,15 @@ class ModelLink:
         self._received: set[asyncio.Task[bytes]] = set()  # those that a server works at
         self._closed = False
 
-    async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
+    async def request(
+        self, path: str, body: bytes, *, timeout_s: float, may_queue_s: float | None = None
+    ) -> bytes:
         """Sends one request and returns its reply; raises LinkError."""
         self._dialer.observe("sent", server=self._server, path=path)
         if self._closed:
             raise Unreachable(f"{self._server} at {self._address}: the link is closed")
-        exchange = begin(self._exchange(path, body))
+        sent = body if may_queue_s is None else may_queue(body, may_queue_s)
+        exchange = begin(self._exchange(path, sent))
         self._requests.add(exchange)
         try:
             await asyncio.wait((exchange,), timeout=timeout_s)

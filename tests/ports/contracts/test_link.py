@@ -18,7 +18,7 @@ from upwash.real.link.direct import DirectLink, DirectListener, direct_pair
 from upwash.real.link.link import GrpcDialer
 from upwash.real.link.listener import Listener
 from upwash.real.link.requests import Caller, Requests
-from upwash.rpc.service import Reduced, Reply, Request, may_queue, with_queue
+from upwash.rpc.service import Reduced, Reply, Request, with_queue
 from upwash.sim.link import ModelDialer, Switchboard
 
 PATH = "/upwash.test/any"
@@ -132,13 +132,13 @@ async def test_an_instance_hears_how_long_a_call_may_queue_and_tells_its_queue(h
     if "direct" in str(hold):
         pytest.skip("the drone's own instances have no calls of other drones")
     async with hold(answered=True) as link:
-        reply = await link.request(PATH, may_queue(b"queue", 1.5), timeout_s=5.0)
+        reply = await link.request(PATH, b"queue", timeout_s=5.0, may_queue_s=1.5)
         assert isinstance(reply, Reply)
         assert (reply, reply.queued_s, reply.queue_s) == (b"heron queue", 1.5, 2.5)
-        reduced = await link.request(PATH, may_queue(Reduced(b"queue"), 0.25), timeout_s=5.0)
+        reduced = await link.request(PATH, Reduced(b"queue"), timeout_s=5.0, may_queue_s=0.25)
         assert isinstance(reduced, Reply) and reduced.queued_s == 0.25
         with pytest.raises(NotBegun, match=r"s1 at .* has 2\.5 s of calls in its queue") as told:
-            await link.request(PATH, may_queue(b"too long", 1.5), timeout_s=5.0)
+            await link.request(PATH, b"too long", timeout_s=5.0, may_queue_s=1.5)
         assert told.value.queue_s == 2.5
 
 

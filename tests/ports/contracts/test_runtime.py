@@ -30,7 +30,7 @@ from upwash.real.instances.sandbox import Sandbox, find_sandbox
 from upwash.real.link.link import GrpcDialer
 from upwash.real.trust.credentials import Credentials, fingerprint
 from upwash.rpc.protocol import service_path
-from upwash.rpc.service import Reply, load_service, may_queue, spec_of
+from upwash.rpc.service import Reply, load_service, spec_of
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.runtime import Computer, ModelRuntime
 
@@ -117,10 +117,11 @@ class Site:
         """The reply to a call that may wait in the queue for as long, over a link of its own."""
         (name,) = self.spec.methods
         _, request = spec_of(load_service(self.spec.program.path)).methods[name].encode(self.arguments, {})
-        body = request if may_queue_s is None else may_queue(request, may_queue_s)
         link = self.dialer.dial(endpoint, server="s1")
         try:
-            reply = await link.request(service_path(self.spec.service, name), body, timeout_s=10.0)
+            reply = await link.request(
+                service_path(self.spec.service, name), request, timeout_s=10.0, may_queue_s=may_queue_s
+            )
         finally:
             await link.close()
         assert isinstance(reply, Reply)

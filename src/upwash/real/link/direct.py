@@ -161,8 +161,11 @@ class DirectLink:
         self._over: LinkError | None = None
         self._listening = start(self._listen(), name="the replies of an instance", failed=only_logged)
 
-    async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
+    async def request(
+        self, path: str, body: bytes, *, timeout_s: float, may_queue_s: float | None = None
+    ) -> bytes:
         """Sends one request and returns its reply; raises LinkError. Cancelling it gives the request up."""
+        del may_queue_s  # the drone's own instances have no calls of other drones
         if self._over is not None:
             raise self._over
         if len(body) > self._max_message_bytes:

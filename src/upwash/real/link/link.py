@@ -33,7 +33,7 @@ from upwash.rpc.protocol import (
     STATUS,
     service_path,
 )
-from upwash.rpc.service import Request, with_queue
+from upwash.rpc.service import with_queue
 from upwash.support.addresses import WITHOUT_ZONE
 from upwash.support.background import only_logged, thread
 from upwash.support.text import printable
@@ -207,7 +207,9 @@ class GrpcLink:
         """Whether the measured round trip is long, as over a mobile network."""
         return self._way.round_trip_s > _FAR_S
 
-    async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
+    async def request(
+        self, path: str, body: bytes, *, timeout_s: float, may_queue_s: float | None = None
+    ) -> bytes:
         """Sends one request and returns its reply; raises LinkError. Cancelling it cancels the call."""
         waited_for, large = path.startswith(_WAITED_FOR), len(body) > LARGE_BYTES
         while True:
@@ -215,7 +217,7 @@ class GrpcLink:
             more_s = self._way.more_s(round_trips) if waited_for else 0.0
             began_s = time.monotonic()
             try:
-                reply = await self._request(path, body, timeout_s=timeout_s + more_s)
+                reply = await self._request(path, body, timeout_s + more_s, may_queue_s)
             except _Silent as silence:
                 if not waited_for:
                     self._way.suspect()
@@ -270,7 +272,7 @@ class GrpcLink:
         with contextlib.suppress(RuntimeError):  # no thread is left: the channel closes once it is collected
             thread(self._channel.close, name="a link that closes", failed=only_logged).start()
 
-    async def _request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
+    async def _request(self, path: str, body: bytes, timeout_s: float, may_queue_s: float | None) -> bytes:
         if self._closed:
             raise self._is_closed()
         method = self._methods.get(path)
@@ -288,8 +290,8 @@ class GrpcLink:
                 loop.call_soon_threadsafe(settle)
 
         metadata = self._metadata
-        if isinstance(body, Request) and body.may_queue_s is not None:
-            metadata += ((MAY_QUEUE_METADATA, f"{body.may_queue_s:.3f}"),)
+        if may_queue_s is not None:
+            metadata += ((MAY_QUEUE_METADATA, f"{may_queue_s:.3f}"),)
         try:
             call = method.future(bytes(body), timeout=timeout_s, metadata=metadata)
         except RuntimeError as error:  # no thread is left
