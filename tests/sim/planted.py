@@ -308,7 +308,7 @@ plant("the mission's end waits for a server's goodbye", server_session, "_FAREWE
 @planted("a silent vehicle ends the watch over ranges", Looks, "watch_borders")
 async def borders_not_watched(original: Any, self: Looks) -> None:
     while True:
-        await self._autopilot.border_crossed(self._areas)
+        await self.autopilot.border_crossed(self.areas)
 
 
 @planted("a flight that fails ends without its safe action", flight, "end_safely")

@@ -44,7 +44,7 @@ from upwash.drone.rows import Rows
 from upwash.drone.seeking import Seeking
 from upwash.drone.settling import Settling
 from upwash.drone.site import Site
-from upwash.drone.sparing import AMPLE, Sparing, SparingAlbum, SparingDialer
+from upwash.drone.sparing import Sparing, SparingAlbum, SparingDialer
 from upwash.drone.stops import Stops
 from upwash.drone.vehicle import Vehicle
 from upwash.errors import (
@@ -70,7 +70,8 @@ _WORDS_BEFORE_S = 1.0  # they come with the report that shows the loss
 class Ports(CallPorts, frozen=True, kw_only=True):
     """The ports that a flight needs, real or simulated.
 
-    `ground` is the terrain, `album` keeps photos; None keeps none. The program runs on the `computer`.
+    `ground` is the terrain, `album` keeps photos; None keeps none. The program runs on the `computer`; without one
+    nothing gets scarce.
     """
 
     autopilot: Autopilot
@@ -78,7 +79,7 @@ class Ports(CallPorts, frozen=True, kw_only=True):
     notifier: Notifier
     ground: Callable[[Position], Ground] = level_ground
     album: Album | None = None
-    computer: Computer = AMPLE
+    computer: Computer | None = None
 
 
 class Flight:

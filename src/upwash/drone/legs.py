@@ -137,12 +137,12 @@ class Legs:
         await self.arrive()
         start = self.stands_at or self.autopilot.position
         self.site.require_leg(self.limits, start, end)
-        self._way = start, end
-        self._leg = begin(self._fly_leg(end, ground_speed_m_s))
 
-    async def _fly_leg(self, end: Position, ground_speed_m_s: float | None) -> None:
-        await self._set_planned_speed(ground_speed_m_s)
-        await self._fly(end)
+        async def fly() -> None:
+            await self._set_planned_speed(ground_speed_m_s)
+            await self._fly(end)
+
+        self._way, self._leg = (start, end), begin(fly())
 
     def passes(self, place: Place) -> bool:
         """Whether the leg that is flown passes the place, or has just passed it; True too in doubt of its place."""

@@ -150,16 +150,17 @@ class OwnPolicy:
         self._put_back()
 
     def _made(self, make: Make) -> Made:
+        why = f"policy {self.name} cannot be made"
         try:
             made = self._told(make, within_s=_MADE_WITHIN_S)
         except NoAnswer:
             raise UsageError(f"policy {self.name} was not made within {_MADE_WITHIN_S:g} s") from None
         except Crashed as error:
-            raise UsageError(f"policy {self.name} cannot be made: it {error}") from error
+            raise UsageError(f"{why}: it {error}") from error
         except _Raised as error:
             raise UsageError(str(error)) from error.__cause__
         if not isinstance(made, Made):
-            raise UsageError(f"policy {self.name} cannot be made")
+            raise UsageError(why)
         return made
 
     def _answer(self, method: str, about: object) -> Any:

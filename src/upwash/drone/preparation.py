@@ -192,10 +192,8 @@ def _require_agreement(service: ServiceConfig, spec: ServiceSpec) -> None:
             'declare the service with @service(where="servers") if no drone can run it'
         )
     if not spec.on_drone and not only_on_servers(service):
-        raise UsageError(
-            f'service {service.name}: it has a local_call_s, and is declared with where="servers": leave one of the '
-            "two out"
-        )
+        both = 'it has a local_call_s, and is declared with where="servers"'
+        raise UsageError(f"service {service.name}: {both}: leave one of the two out")
 
 
 def _less(service: ServiceConfig, operation: Operation, key: str) -> Less | None:
@@ -232,24 +230,24 @@ def endpoints(
 
 
 def _lighter(config: DroneConfig, specs: Specs, estimates: Estimates) -> LighterSettings | None:
-    mission, by_s = config.mission, finish_by_s(config)
+    lighter, by_s = config.mission.lighter, finish_by_s(config)
     if by_s is None:
         return None
-    operations = {
-        operation: Operation(operation.service, operation.method, mission.lighter[operation.key])
-        for operation in estimates.operations
-        if operation.key in mission.lighter
-        and specs[operation.service].on_drone  # else a lighter call saves the mission no time
-        and not specs[operation.service].methods[operation.method].once
-    }
-    for key in mission.lighter:
+    operations: dict[Operation, Operation] = {}
+    for asked in estimates.operations:
+        spec = specs[asked.service]
+        method = spec.methods[asked.method]
+        # A lighter call of a service that only servers run saves the mission no time.
+        if asked.key in lighter and spec.on_drone and not method.once:
+            operations[asked] = Operation(asked.service, asked.method, lighter[asked.key])
+    for key in lighter:
         if not any(operation.key == key for operation in operations):
             raise UsageError(
                 f"mission.lighter.{key}: no service has a method with that profile key: declare the service with "
                 "@service(profile_by=...), and name a value of that parameter"
             )
-    for asked, lighter in operations.items():
-        _require_key(specs[asked.service].methods[asked.method], lighter.key, f"mission.lighter.{asked.key}")
+    for asked, wanted in operations.items():
+        _require_key(specs[asked.service].methods[asked.method], wanted.key, f"mission.lighter.{asked.key}")
     return LighterSettings(by_s, operations)
 
 

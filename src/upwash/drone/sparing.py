@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NoReturn
 
-from upwash.core.knowledge.supplies import FOR_LINKS, Scarcity, Supplies, Supply
+from upwash.core.knowledge.supplies import FOR_LINKS, Scarcity, Supply
 from upwash.errors import Unreachable
 from upwash.eventlog import schema
 from upwash.eventlog.notices import left_of
@@ -22,16 +22,17 @@ _MOST = 10**12  # that the log has
 class Sparing:
     """Watches the supplies of the program's computer, and tells and spares what is scarce."""
 
-    def __init__(self, computer: Computer, journal: Journal) -> None:
-        self._computer = computer
+    def __init__(self, computer: Computer | None, journal: Journal) -> None:
+        self._computer = computer  # None: it never lacks anything
         self._journal = journal
         self._scarcity = Scarcity()
 
     async def watch(self) -> NoReturn:
         """Look again and again, until cancelled."""
-        while True:
+        while self._computer is not None:
             self._look()
             await self._computer.may_have_changed()
+        await never()
 
     @property
     def spares_disk(self) -> bool:
@@ -45,20 +46,9 @@ class Sparing:
         return next((left_of(supply, scarce[supply]) for supply in needed if supply in scarce), "")
 
     def _look(self) -> None:
-        for change in self._scarcity.look(self._computer.left()):
+        for change in self._scarcity.look(self._computer.left()) if self._computer is not None else ():
             left = int(min(change.left, _MOST))
             self._journal.record(schema.SupplyChanged(supply=change.supply, left=left, scarce=change.scarce))
-
-
-class _Ample:
-    def left(self) -> Supplies:
-        return Supplies()
-
-    async def may_have_changed(self) -> None:
-        await never()
-
-
-AMPLE: Computer = _Ample()
 
 
 @dataclass(frozen=True, slots=True)
