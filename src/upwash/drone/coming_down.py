@@ -18,7 +18,7 @@ from upwash.core.vehicle.way_home import UNKNOWN, WayDown
 from upwash.errors import AutopilotError, AutopilotOverruled
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, ComingDown, Journal
-from upwash.support.background import first
+from upwash.support.background import first, now_s
 
 _Action = SafeEnd | Literal["disarm"]
 _KEEP_TRYING_S = 600.0  # about what a battery lasts that the mission has already used half of
@@ -50,7 +50,7 @@ class Homecoming:
             return None
         if self.doing == "return" and self._watch is not None and self._watch.no_nearer_s:
             return None
-        return self._way.left_s(vehicle.position, now_s=_now_s()) or None
+        return self._way.left_s(vehicle.position, now_s=now_s()) or None
 
     async def return_and_land(self) -> None:
         """Returns on touchdown; raises AutopilotError as the autopilot's verbs do."""
@@ -64,7 +64,7 @@ class Homecoming:
             self._begin_landing()
             await self._autopilot.land()
         finally:
-            self.doing, self._looked_s = None, _now_s()
+            self.doing, self._looked_s = None, now_s()
 
     async def land(self) -> None:
         """Lands where the vehicle is; returns on touchdown, raises AutopilotError."""
@@ -97,14 +97,14 @@ class Homecoming:
 
     def _begin_return(self) -> ReturnWatch:
         self.doing = "return"
-        if self._watch is not None and _now_s() - self._looked_s <= _SAME_RETURN_S:
+        if self._watch is not None and now_s() - self._looked_s <= _SAME_RETURN_S:
             return self._watch
         facts, here = self._autopilot.energy, self._autopilot.position
         place = facts.returns_to(here)
         way = facts.way_to(place)
         self._way = WayDown(way, here, place.position)
         known = facts.way_home is not None and not facts.guessed
-        self._watch = ReturnWatch(way, place, here, now_s=_now_s(), known=known)
+        self._watch = ReturnWatch(way, place, here, now_s=now_s(), known=known)
         self._lands_return, self._hurries, self._told_s = False, False, -math.inf
         return self._watch
 
@@ -116,7 +116,7 @@ class Homecoming:
     async def _look(self, watch: ReturnWatch) -> bool:
         """Return True once the return hovers while the vehicle is the program's; tell a return that is in vain."""
         while not (watch.hovers and self._autopilot.control.is_ours):
-            self._looked_s = _now_s()
+            self._looked_s = now_s()
             watch.take(self._autopilot.position, self._looked_s)
             if watch.no_nearer_s and self._looked_s - self._told_s >= _TELL_AGAIN_S:
                 self._told_s = self._looked_s
@@ -145,14 +145,14 @@ async def end_safely(
     A vehicle on the ground is disarmed instead. Returns when the action is done, when the program no longer has the
     vehicle, or after the longest time of trying; the journal records which.
     """
-    deadline_s, told, begun = _now_s() + _KEEP_TRYING_S, "", ""
+    deadline_s, told, begun = now_s() + _KEEP_TRYING_S, "", ""
     verbs: Mapping[_Action, tuple[Callable[[], Awaitable[None]], Callable[[], schema.Event]]] = {
         "return": (homecoming.return_and_land, homecoming.landed),
         "land": (homecoming.land, homecoming.landed),
         "hold": (autopilot.hold, schema.LeftHovering),
         "disarm": (autopilot.disarm, schema.Disarmed),
     }
-    while _now_s() < deadline_s:
+    while now_s() < deadline_s:
         doing: _Action = "disarm" if autopilot.stands else action
         if doing != begun:
             begun = doing
@@ -189,7 +189,3 @@ async def follow(autopilot: Autopilot, journal: Journal, *, until: asyncio.Event
         journal.record(schema.FollowingEnded(why="the program was stopped"))
     else:
         journal.record(schema.Stood(position=autopilot.position))
-
-
-def _now_s() -> float:
-    return asyncio.get_running_loop().time()

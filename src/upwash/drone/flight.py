@@ -58,7 +58,7 @@ from upwash.errors import (
 from upwash.eventlog import schema
 from upwash.ports import Album, Autopilot, Camera, ComingDown, Computer, Notifier, Program, VehicleNews
 from upwash.rpc.service import Specs, spec_of
-from upwash.support.background import end, only_logged, start
+from upwash.support.background import end, now_s, only_logged, start
 from upwash.support.text import message_of, worded
 
 _LOOKS_AGAIN_S = 1.0  # at the battery, on the way down
@@ -296,15 +296,14 @@ class Flight:
         Return False if the mission is being ended already: the caller then ends the program at once. A call within a
         second after the reserve ended the mission counts as made before.
         """
-        now_s = asyncio.get_running_loop().time()
         if self._stopped is None or self._follows:
             self._end_mission(MissionStopped(why))
             return True
-        return now_s - self._stopped_s < _AT_ONCE_S
+        return now_s() - self._stopped_s < _AT_ONCE_S
 
     def _end_mission(self, error: MissionStopped) -> None:
         if self._stopped is None:
-            self._stopped, self._stopped_s = error, asyncio.get_running_loop().time()
+            self._stopped, self._stopped_s = error, now_s()
         self._ports.journal.record(schema.Stopping(why=str(error)))
         self._thread.stop(str(error))
         self._stop_following.set()
@@ -317,7 +316,7 @@ class Flight:
             return
         self._ports.journal.record(news)
         if isinstance(news, schema.VehicleSaid):
-            self._last_words.append((asyncio.get_running_loop().time(), news))
+            self._last_words.append((now_s(), news))
 
     async def _take_vehicle(self) -> None:
         """Claim the vehicle; refuse to begin a mission in the air, but resume one there."""

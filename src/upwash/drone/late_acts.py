@@ -7,7 +7,6 @@ waypoint is another occasion: what would be late is done then, and what the poli
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias
@@ -18,6 +17,7 @@ from upwash.drone.answers import AnswerAction
 from upwash.drone.legs import Legs
 from upwash.drone.places import Place, position_of
 from upwash.eventlog import schema
+from upwash.support.background import now_s
 
 Answer: TypeAlias = AnswerAction[Any]
 
@@ -72,7 +72,7 @@ class LateActs:
         way, place = self._way(onwards), answer.place
         if way is None or place is None:
             return False
-        self._begin_by_s.setdefault(answer, _time_s() + self.within_s)
+        self._begin_by_s.setdefault(answer, now_s() + self.within_s)
         within_s = self._left_s(position_of(place), answer)
         late = self.acts.choice(position_of(place), way, within_s=within_s, allows=self.legs.allows)
         if not late.gaps or (chosen := self.when_to_act(late)) is None:
@@ -110,11 +110,7 @@ class LateActs:
 
     def _left_s(self, place: Position, answer: Answer) -> float:
         """The seconds until the act at the place must begin, by its limit and the reserve."""
-        spare_s, left_s = self.spare_s(), self._begin_by_s[answer] - _time_s()
+        spare_s, left_s = self.spare_s(), self._begin_by_s[answer] - now_s()
         if spare_s is None:
             return left_s
         return min(left_s, spare_s + self.home_s(self.legs.position) - self.home_s(place))
-
-
-def _time_s() -> float:
-    return asyncio.get_running_loop().time()

@@ -13,6 +13,7 @@ from upwash.core.selection.events import Tick
 from upwash.errors import AutopilotLost
 from upwash.eventlog import schema
 from upwash.ports import Journal, Whereabouts
+from upwash.support.background import now_s
 
 _ROUNDING_S = 1e-6  # a look may be early by this, rather than late by a period
 
@@ -45,7 +46,7 @@ class Looks:
             while True:
                 self.tick(Tick())
                 self.again.clear()
-                self._looked_s = asyncio.get_running_loop().time()
+                self._looked_s = now_s()
                 self._stop_alarm()
                 self.set_alarm()
                 await self.again.wait()

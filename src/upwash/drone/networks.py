@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from upwash.core.geo import Position, Reach
 from upwash.errors import NetworkError
-from upwash.support.background import never
+from upwash.support.background import never, now_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class PositionNetwork:
         cells = self._cells.get(network)
         if not cells:
             raise NetworkError(f"no network {network} is known: name it in a [[server]] table")
-        await asyncio.sleep(max(0.0, self._free_s - asyncio.get_running_loop().time()))
+        await asyncio.sleep(max(0.0, self._free_s - now_s()))
         join_s = min(cell.join_s * cell.stretch() for cell in cells)
         await asyncio.sleep(min(join_s, timeout_s))
         if join_s > timeout_s:
@@ -72,7 +72,7 @@ class PositionNetwork:
         """Leaves the joined network, if any."""
         if self._joined is not None:
             leave_s = min(cell.leave_s for cell in self._cells[self._joined])
-            self._free_s = asyncio.get_running_loop().time() + leave_s
+            self._free_s = now_s() + leave_s
         self._joined = None
 
 

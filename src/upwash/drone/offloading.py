@@ -47,7 +47,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.ports import Dialer, Finder, Journal, Network, Runtime, Whereabouts
 from upwash.rpc.service import Method, NoAnswer, Reply
-from upwash.support.background import begin, end, first, start
+from upwash.support.background import begin, end, first, now_s, start
 from upwash.support.text import printable, worded
 
 T = TypeVar("T")
@@ -527,11 +527,6 @@ class Offloading:
             # Where the drone computes the call, that answer counts: the call must not run twice.
             if not computed and not opened.answer.done():
                 opened.answer.set_exception(_Defect())
-
-
-def now_s() -> float:
-    """The time of the running event loop, in seconds."""
-    return asyncio.get_running_loop().time()
 
 
 def _settle(answer: asyncio.Future[Any], reply: Any) -> None:

@@ -8,7 +8,6 @@ question, the built-in policy answers. See docs/decisions/own-policies-apart.md.
 
 from __future__ import annotations
 
-import asyncio
 import atexit
 import math
 import sys
@@ -38,6 +37,7 @@ from upwash.core.policies.policy import (
 from upwash.drone.policy_program import KINDS, Answer, Ask, Failed, Made, Make, Returned
 from upwash.errors import UsageError
 from upwash.support.apart import Apart, Crashed, NoAnswer
+from upwash.support.background import now_s
 from upwash.support.text import counted
 
 ANSWERS_WITHIN_S = 2.0
@@ -189,11 +189,11 @@ class OwnPolicy:
     def _left_now_s(self) -> float:
         """The seconds that an answer may take now: the drone waits for it, and does nothing else meanwhile."""
         try:
-            now_s = asyncio.get_running_loop().time()
+            asked_s = now_s()
         except RuntimeError:  # no drone flies by the answer
             return ANSWERS_WITHIN_S
-        earned_s = _SHARE * (now_s - self._asked_s)
-        self._asked_s = now_s
+        earned_s = _SHARE * (asked_s - self._asked_s)
+        self._asked_s = asked_s
         return max(0.0, min(ANSWERS_WITHIN_S, self._left_s + earned_s))
 
     def _told(self, question: Make | Ask, *, within_s: float) -> Answer:

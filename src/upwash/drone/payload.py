@@ -16,6 +16,7 @@ from upwash.drone.mission import MissionThread
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
+from upwash.support.background import now_s
 
 _SHOTS = (DO_DIGICAM_CONTROL, IMAGE_START_CAPTURE)
 _BETWEEN_SHOTS_S = 0.5  # more than ArduPilot's CAM1_DURATION, 0.1 s by default
@@ -76,9 +77,9 @@ class Payload:
     async def _command(self, number: int, parameters: tuple[float, ...]) -> None:
         name = PAYLOAD_COMMANDS[number]
         if number in _SHOTS:
-            await asyncio.sleep(max(0.0, self._shoots_again_s - asyncio.get_running_loop().time()))
+            await asyncio.sleep(max(0.0, self._shoots_again_s - now_s()))
         await self._autopilot.command(number, name, parameters)
         if number in _SHOTS:
-            self._shoots_again_s = asyncio.get_running_loop().time() + _BETWEEN_SHOTS_S
+            self._shoots_again_s = now_s() + _BETWEEN_SHOTS_S
         known = [value if math.isfinite(value) else None for value in parameters]
         self._journal.record(schema.PayloadCommanded(number=number, name=name, parameters=known))

@@ -14,7 +14,7 @@ from upwash.errors import Unanswered
 from upwash.eventlog import schema
 from upwash.ports import Journal
 from upwash.rpc.service import Method
-from upwash.support.background import begin
+from upwash.support.background import begin, now_s
 from upwash.support.text import message_of
 
 T = TypeVar("T")
@@ -68,10 +68,10 @@ class OpenCall:
 
     def begin(self, work: Coroutine[Any, Any, Any], hearing: Hearing) -> None:
         """Begin the work, on the loop, before the mission's next verb."""
-        begun_s = asyncio.get_running_loop().time()
+        begun_s = now_s()
 
         def note_end(task: asyncio.Task[Any]) -> None:
-            self.took_s = asyncio.get_running_loop().time() - begun_s
+            self.took_s = now_s() - begun_s
             if not task.cancelled():
                 task.exception()  # retrieved: asyncio reports no failure that the mission never asks for
 
@@ -103,11 +103,11 @@ class OpenCall:
         return await self._waited_s()
 
     async def _waited_s(self, *, first: bool = False) -> float:
-        begun_s = asyncio.get_running_loop().time()
+        begun_s = now_s()
         answers = [self.task, self.hearing.first] if first else [self.task]
         if not any(answer.done() for answer in answers):
             await asyncio.wait(answers, return_when=asyncio.FIRST_COMPLETED)
-        return asyncio.get_running_loop().time() - begun_s
+        return now_s() - begun_s
 
     def end(self) -> None:
         """Have no better answer come, and return when the call is over."""

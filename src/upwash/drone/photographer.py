@@ -38,6 +38,7 @@ from upwash.errors import CameraError, NotWritten
 from upwash.eventlog import schema
 from upwash.eventlog.objects import found_objects
 from upwash.ports import Album, Autopilot, Camera, Journal, KeptPhoto, Photo
+from upwash.support.background import now_s
 from upwash.support.exif import PhotoPlace, own_place, with_place
 from upwash.support.jpeg import size_of
 
@@ -169,7 +170,7 @@ class Photographer:
             schema.PhotoTaken(
                 source=await self._kept(jpeg, photo.source, earth, geometry),
                 bytes=len(jpeg),
-                age_s=round(asyncio.get_running_loop().time() - photo.captured_s, 6),
+                age_s=round(now_s() - photo.captured_s, 6),
                 position=rounded(shot.position),
                 latitude_deg=_rounded(earth.latitude_deg, _DIGITS) if earth else None,
                 longitude_deg=_rounded(earth.longitude_deg, _DIGITS) if earth else None,
@@ -236,7 +237,7 @@ class Photographer:
             return source
 
     def _moment(self) -> _Moment:
-        vehicle, at_s = self._autopilot, asyncio.get_running_loop().time()
+        vehicle, at_s = self._autopilot, now_s()
         return _Moment(at_s, vehicle.position, vehicle.earth_position, vehicle.telemetry)
 
     def _geometry(self, photo: Photo, shot: _Moment) -> PhotoGeometry | None:

@@ -11,6 +11,7 @@ from upwash.core.vehicle.energy import FlightEnergy, FlightReport, Margin, Reser
 from upwash.drone.coming_down import Homecoming
 from upwash.drone.legs import Legs
 from upwash.eventlog import schema
+from upwash.support.background import now_s
 
 _LOOK_S = 1.0
 _SILENT_LOOKS = 10  # the battery is among the last things that a vehicle reports after a start
@@ -96,7 +97,7 @@ class ReserveWatch:
         vehicle = self._autopilot
         told = vehicle.telemetry
         report = FlightReport(
-            time_s=asyncio.get_running_loop().time(),
+            time_s=now_s(),
             position=vehicle.position,
             charges_percent=told.charges_percent,
             velocity=told.velocity,

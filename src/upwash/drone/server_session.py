@@ -24,6 +24,7 @@ from upwash.errors import (
 from upwash.ports import Dialer, Finder, Link, Network
 from upwash.rpc import protocol
 from upwash.rpc.protocol import decode_reply, resolve, service_path
+from upwash.support.background import now_s
 
 _ANSWER_S = 5.0  # a daemon answers at once or is in trouble
 _FAREWELL_S = 0.5
@@ -290,9 +291,9 @@ class ServerSession:
 
     async def _availability(self, daemon: Link | None = None) -> protocol.AvailabilityReply:
         request = protocol.AvailabilityRequest(self.server, list(self._server.services))
-        asked_s = asyncio.get_running_loop().time()
+        asked_s = now_s()
         reply = await self._tell(protocol.AVAILABILITY, request, timeout_s=_ANSWER_S, daemon=daemon)
-        self.round_trip_s = asyncio.get_running_loop().time() - asked_s
+        self.round_trip_s = now_s() - asked_s
         answer = decode_reply(reply, protocol.AvailabilityReply, sender=self.server)
         if not answer.available:
             self._refuse(answer, "is unavailable")

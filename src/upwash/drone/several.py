@@ -24,6 +24,7 @@ from upwash.drone.places import Place, position_of, turns_around
 from upwash.drone.seeking import Seeking
 from upwash.drone.settling import Settling
 from upwash.eventlog import schema
+from upwash.support.background import now_s
 
 _THERE_M = 1.0  # from a photo's place, at rest
 _LATER = 2.0  # times what an answer is expected to take that the drone waits for
@@ -278,6 +279,6 @@ class Several(Settling):
 
 
 async def _timed(wait: Coroutine[Any, Any, None]) -> float:
-    begun_s = asyncio.get_running_loop().time()
+    begun_s = now_s()
     await wait
-    return asyncio.get_running_loop().time() - begun_s
+    return now_s() - begun_s

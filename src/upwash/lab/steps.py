@@ -12,11 +12,10 @@ from typing import Any, NamedTuple, cast
 
 from upwash.config.drone import DroneConfig
 from upwash.core.policies.policy import Policy
-from upwash.drone.offloading import now_s
 from upwash.drone.own_policy import policy_of
 from upwash.lab.run import Run, simulate
 from upwash.sim.loop import end_run
-from upwash.support.background import only_logged, thread
+from upwash.support.background import now_s, only_logged, thread
 
 
 class Asked(NamedTuple):

@@ -91,6 +91,11 @@ def begin(work: Coroutine[Any, Any, T], *, name: str | None = None) -> asyncio.T
     return asyncio.get_running_loop().create_task(work, name=name)
 
 
+def now_s() -> float:
+    """The time of the running event loop, in seconds."""
+    return asyncio.get_running_loop().time()
+
+
 async def end(*tasks: asyncio.Task[Any] | None) -> None:
     """Cancel the tasks, and return when they have ended."""
     running = [task for task in tasks if task is not None and not task.done()]
