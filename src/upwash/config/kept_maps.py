@@ -145,7 +145,7 @@ class _Place(Struct, forbid_unknown_fields=True):
     north_m: Metres
 
     def seen_from(self, field: Position) -> Position | None:
-        """Where it is from the mission's home, if that is `field` from here; None beyond the farthest position."""
+        """The place from the mission's home, with the field's home at `field`; None beyond the farthest position."""
         east_m, north_m = self.east_m + field.east_m, self.north_m + field.north_m
         return Position(east_m, north_m) if max(abs(east_m), abs(north_m)) <= FARTHEST_M else None
 

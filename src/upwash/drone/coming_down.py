@@ -1,4 +1,4 @@
-"""How the vehicle comes to the ground: as the mission says, or by the safe end of a flight that cannot go on.
+"""Lands the vehicle: as the mission says, or by the safe end of a flight that cannot go on.
 
 A return may end in a hover, as its parameters say or as its reports show: then the program lands the vehicle.
 """

@@ -23,7 +23,7 @@ class Sparing:
     """Watches the supplies of the program's computer, and tells and spares what is scarce."""
 
     def __init__(self, computer: Computer | None, journal: Journal) -> None:
-        self._computer = computer  # None: it never lacks anything
+        self._computer = computer  # without a computer no supply is scarce
         self._journal = journal
         self._scarcity = Scarcity()
 
