@@ -106,7 +106,8 @@ class Offloading:
         *,
         period_s: float,
     ) -> None:
-        self._calls, self._selection = calls, (selection := calls.selection)
+        selection = calls.selection
+        self._calls, self._selection = calls, selection
         self._autopilot, self._journal = ports.autopilot, ports.journal
         self._onboard, self._before_sending = onboard, before_sending
         self.several = calls.lanes.has_line
