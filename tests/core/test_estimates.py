@@ -230,10 +230,10 @@ def test_a_slow_call_that_is_kept_apart_bounds_the_next_one_until_a_fast_one() -
     assert estimates.remote_s("s1", HEAVY) == 2.0, "it was cut short"
     for slow_s in (12.0, 10.0):
         estimates.observe_remote("s1", HEAVY, slow_s, now_s=0.0)
-        assert (estimates.remote_s("s1", HEAVY), estimates.usual_s("s1", HEAVY)) == (slow_s, 2.0)
+        assert (estimates.remote_s("s1", HEAVY), estimates.remote_s("s1", HEAVY, slow=False)) == (slow_s, 2.0)
     estimates.observe_remote("s1", HEAVY, 5.0, now_s=1.0)
-    assert estimates.remote_s("s1", HEAVY) == estimates.usual_s("s1", HEAVY) == 3.0
-    assert estimates.usual_s("s1", LIGHT) is None
+    assert estimates.remote_s("s1", HEAVY) == estimates.remote_s("s1", HEAVY, slow=False) == 3.0
+    assert estimates.remote_s("s1", LIGHT, slow=False) is None
 
 
 def test_a_slow_call_that_is_kept_apart_is_forgotten_after_retry_s() -> None:
@@ -306,7 +306,7 @@ def test_less_is_sent_only_where_the_user_allows_some_loss(
 ) -> None:
     known = less(loss=loss, most_loss=most_loss)
     assert known.remote_s("s1", HEAVY) == pytest.approx(remote_s)
-    assert known.usual_s("s1", HEAVY) == pytest.approx(remote_s)
+    assert known.remote_s("s1", HEAVY, slow=False) == pytest.approx(remote_s)
     assert known.remote_s("s1", LIGHT) == 1.0
     assert (known.both_ways_s("s1", HEAVY) is None) == (remote_s == 2.0)
 

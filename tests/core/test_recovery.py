@@ -62,18 +62,18 @@ def test_every_operation_of_a_failed_server_is_in_doubt_until_one_is_answered_in
 def test_one_trial_is_under_way_at_a_time_whatever_the_operation() -> None:
     recovery = doubted()
     assert recovery.trial_due_s("s1", LOOK) == 100.0
-    recovery.trial_begun("s1")
+    recovery.trials.add("s1")
     assert recovery.trial_due_s("s1", READ) == math.inf
-    recovery.trial_over("s1")
+    recovery.trials.discard("s1")
     assert recovery.trial_due_s("s1", READ) == 100.0
 
 
 def test_a_trial_is_over_when_it_is_answered_and_when_its_server_fails() -> None:
     recovery = doubted()
-    recovery.trial_begun("s1")
+    recovery.trials.add("s1")
     recovery.failed("s1", [LOOK], now_s=101.0)
     assert recovery.trial_due_s("s1", READ) == 100.0
-    recovery.trial_begun("s1")
+    recovery.trials.add("s1")
     recovery.answered("s1", LOOK, 0.7, local_s=3.0, now_s=102.0)
     assert recovery.trial_due_s("s1", READ) == 100.0
     assert recovery.trial_due_s("s1", LOOK) == -math.inf

@@ -436,7 +436,7 @@ class Flights(RuleBasedStateMachine):
         if isinstance(decision, Remote):
             self.contact(decision.server)
             assert self.states[decision.server] is State.READY
-            usual_s = self.selection.estimates.usual_s(decision.server, operation)
+            usual_s = self.selection.estimates.remote_s(decision.server, operation, slow=False)
             assert usual_s is not None
             if self.in_doubt(decision.server, operation):
                 assert decision.raced and decision.deadline_s == max(10.0, local_s)

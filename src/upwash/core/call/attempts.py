@@ -72,11 +72,6 @@ class Attempt:
         return self.state == "open"
 
     @property
-    def settles(self) -> bool:
-        """Whether the server has answered, with an exception perhaps."""
-        return self.state in ("answered", "raised")
-
-    @property
     def facts_of_sending(self) -> dict[str, Any]:
         """What a part before sending made of the request, as a call's log record has it."""
         if not self.sends_less:

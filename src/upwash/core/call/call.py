@@ -94,27 +94,38 @@ class Call:
         if self.manner is not None and self.manner.is_decided:
             self.manner.turn()
             return
-        self.decided_s = self.calls.now_s
-        decision = self.calls.decide(self, on_drone=on_drone, drone_is_busy=drone_is_busy)
+        calls, self.decided_s = self.calls, self.calls.now_s
+        decision, effects = calls.selection.decide(
+            self.operation,
+            now_s=calls.now_s,
+            position=calls.here,
+            on_drone=on_drone,
+            drone_is_busy=drone_is_busy,
+        )
         self.why, self.lightened = decision.why, decision.inputs.lightened
         if self.lightened is not None:
             self.operation = self.lightened.operation
+        calls.decided(self, self.operation, decision, effects)
         if self.manner is None:
-            two = self.calls.selection.two_answers.get(self.operation)
+            two = calls.selection.two_answers.get(self.operation)
             self.manner = Single(self) if two is None else Twice(self, two)
         if isinstance(decision, Wait) and self.manner.may_wait:
-            self.check = self.calls.selection.servers[decision.server].check
-            self.check_until_s = self.calls.now_s + decision.at_most_s
+            self.check = calls.selection.servers[decision.server].check
+            self.check_until_s = calls.now_s + decision.at_most_s
         else:
             self.decision = decision
             self.manner.begin(decision)
 
     def _decide_after_wait(self) -> None:
-        check, self.check, self.check_until_s = self.check, 0, math.inf
-        self.decision = self.calls.decide_after_wait(self, check)
+        calls = self.calls
+        self.decision, effects = calls.selection.decide_after_wait(
+            self.operation, self.check, now_s=calls.now_s, position=calls.here
+        )
+        calls.decided(self, self.operation, self.decision, effects)
+        self.check, self.check_until_s = 0, math.inf
         self.wait = "paid off" if isinstance(self.decision, Remote) else "failed"
         self.why = f"{self.why}: {self.decision.why}"
-        self.waited_s = self.calls.now_s - self.decided_s
+        self.waited_s = calls.now_s - self.decided_s
         assert self.manner is not None  # noqa: S101 - it has let the call wait
         self.manner.begin(self.decision)
 
@@ -138,7 +149,7 @@ class Call:
             remote.inputs.sends_less,
         )
         self.tries.append(attempt)
-        calls.hold_server(attempt)
+        calls.lanes.hold(attempt, attempt.server, calls.now_s + calls.takes_s(attempt.server, operation))
         if attempt.sends_less:
             calls.do(steps.Reduce(attempt))
         else:
@@ -161,7 +172,7 @@ class Call:
         self.calls.release(attempt)
         if self.is_over or self.winner is not None:
             return
-        if attempt.settles:
+        if state in ("answered", "raised"):
             self.winner = attempt
         if state == "answered":
             self.end(attempt)
@@ -172,6 +183,7 @@ class Call:
         """Accept the drone's own answer, or go on without one."""
         own = event.computing
         own.state, own.raised = "failed" if event.failed else "answered", event.raised
+        own.took_s = self.calls.now_s - (own.began_s or 0.0)
         self.calls.end_own(own)
         if self.is_over:
             self.calls.do(schema.Dropped(operation=str(own.operation), place=ON_DRONE))
@@ -187,9 +199,11 @@ class Call:
             attempt.state = "failed"
             self.calls.release(attempt)
             self.calls.do(steps.Stop(attempt))
-        if self.own is not None and self.own.is_open:
-            self.own.state = "failed"
-            self.calls.forget_own(self.own)
+        if (own := self.own) is not None and own.is_open:
+            own.state = "failed"
+            if own.began_s is not None:
+                self.calls.do(steps.Stop(own))
+            self.calls.end_own(own)
         self.calls.over(self)
 
     def end(self, source: Attempt | Computing) -> None:
@@ -202,7 +216,7 @@ class Call:
         self.manner.ended(source)
         if own is not None and own is not source:
             if own.is_open and own.began_s is None:
-                calls.forget_own(own)  # it was still in line
+                calls.end_own(own)  # it was still in line
             elif own.state == "failed":
                 calls.do(schema.Dropped(operation=str(own.operation), place=ON_DRONE))
         calls.over(self)

@@ -25,7 +25,7 @@ from upwash.core.call.attempts import Attempt, Computing, hangs_after_s
 from upwash.core.call.call import Call
 from upwash.core.call.on_servers import OnServers
 from upwash.core.call.outcomes import Outcomes
-from upwash.core.call.steps import CallEvent, Instruction, MissionEvent
+from upwash.core.call.steps import CallEvent, Instruction
 from upwash.core.geo import Position
 from upwash.core.operation import ON_DRONE, Operation, name_of
 from upwash.core.policies.policy import Decision, Local, PolicyDefect, Remote, Wait
@@ -38,10 +38,6 @@ from upwash.core.selection.selection import Selection
 from upwash.eventlog import schema
 
 LONGEST_UNUSED_S = 60.0  # that a policy may leave both lanes free beside a line
-_LEAST_S, _FACTOR = (
-    10.0,
-    3.0,
-)  # times the expected delay: a server in range has that time where the mission waits
 _NAMES: Mapping[type[Decision], Literal["local", "remote", "wait"]] = {
     Local: "local",
     Remote: "remote",
@@ -80,6 +76,7 @@ class Calls:
         self.news = 0  # how many changes there were for calls that wait
         self.happened = 0  # how many events were taken in, and calls have ended
         self.told = 0  # how many events and decisions the selection has had
+        self.wanted: dict[Call, float] = {}  # calls for a better answer, and by when each must be sent
         self._waiting_bytes = waiting_bytes
         self._looked_s = -math.inf
         self._out: list[Instruction] = []
@@ -88,7 +85,6 @@ class Calls:
         self._own = defaultdict[str, deque[Computing]](deque)  # of each service; the first runs
         self._places: dict[Call, _Waiting] = {}  # in line, or the holder of a lane
         self._deciding: Call | None = None
-        self._wanted: dict[Call, float] = {}  # calls for a better answer, and by when each must be sent
         self._unused_since_s: float | None = None  # both lanes, beside calls that the drone could compute
 
     def handle(
@@ -109,15 +105,6 @@ class Calls:
         match event:
             case steps.News():
                 self._look()
-            case steps.Computed(computing):
-                computing.call.computed(event)
-            case steps.Reduced() | steps.Replied() | steps.NotBegun() | steps.SlotLost() | steps.Failed():
-                self.outcomes.take_in(event)
-            case _:
-                self._hear(event)
-
-    def _hear(self, event: MissionEvent) -> None:
-        match event:
             case steps.Made(call):
                 self._make(call)
             case steps.Waited(call):
@@ -135,6 +122,10 @@ class Calls:
             case steps.EndWaiting(why):
                 for waiting in self.waiting:
                     waiting.limit(why)
+            case steps.Computed(computing):
+                computing.call.computed(event)
+            case _:
+                self.outcomes.take_in(event)
 
     @property
     def due_s(self) -> float:
@@ -194,8 +185,9 @@ class Calls:
         over_bytes = sum(sizes) - most_bytes
         for each, size_bytes in zip(its, sizes, strict=True):
             if over_bytes > 0:
-                why = f"calls that wait for a server keep more than service.waiting_bytes = {most_bytes}"
-                each.limit(why)
+                each.limit(
+                    f"calls that wait for a server keep more than service.waiting_bytes = {most_bytes}"
+                )
                 over_bytes -= size_bytes
 
     def enter(self, call: Call, *, on_drone: bool = False) -> None:
@@ -255,7 +247,7 @@ class Calls:
             two = self.selection.two_answers.get(call.operation)
             computed = call.operation if two is None else two.first
             takes_s = (
-                self.estimates.local_s(computed) if server is None else self._takes_s(server, call.operation)
+                self.estimates.local_s(computed) if server is None else self.takes_s(server, call.operation)
             )
             place, until_s = name_of(server), self.now_s + (takes_s or 0.0)
         self.lanes.hold(holder, place, until_s)
@@ -274,7 +266,7 @@ class Calls:
         """Note that the call is over."""
         self._open.remove(call)
         self.happened += 1
-        self._wanted.pop(call, None)
+        self.wanted.pop(call, None)
         self._losers |= {each for each in (*call.tries, call.own) if each is not None and each.is_open}
         self.leave(call)
         if call.asked.on_servers:
@@ -289,46 +281,10 @@ class Calls:
 
     # --- decisions ------------------------------------------------------------------------------------------
 
-    def decide(self, call: Call, *, on_drone: bool, drone_is_busy: bool) -> Decision:
-        """Where the call runs, and whether lighter; logged."""
-        decision, effects = self.selection.decide(
-            call.asked.operation,
-            now_s=self.now_s,
-            position=self.here,
-            on_drone=on_drone,
-            drone_is_busy=drone_is_busy,
-        )
-        lightened = decision.inputs.lightened
-        return self._decided(
-            call, lightened.operation if lightened else call.asked.operation, decision, effects
-        )
-
-    def decide_after_wait(self, call: Call, check: int) -> Decision:
-        """Where the call runs after its wait for that check; logged."""
-        decision, effects = self.selection.decide_after_wait(
-            call.operation, check, now_s=self.now_s, position=self.here
-        )
-        return self._decided(call, call.operation, decision, effects)
-
-    def overtake(self, call: Call, operation: Operation, began_s: float) -> tuple[Remote | None, float]:
-        """The READY server expected to answer before the drone, logged, or None; and when to ask again."""
-        remote, again_s = self.selection.overtake(
-            operation, began_s=began_s, now_s=self.now_s, position=self.here
-        )
-        if remote is not None:
-            self._decided(call, operation, remote)
-        return remote, again_s
-
-    def better(self, call: Call, by_s: float, *, is_next: bool) -> tuple[Remote | None, bool]:
-        """The server for the call's better answer, logged, or None; and whether one may become of use in time."""
-        remote, may_come = self.placement.better(call.operation, by_s, is_next=is_next)
-        if remote is not None:
-            self._decided(call, call.operation, remote)
-        return remote, may_come
-
-    def _decided(
+    def decided(
         self, call: Call, operation: Operation, decision: Decision, effects: Iterable[Instruction] = ()
-    ) -> Decision:
+    ) -> None:
+        """Log the decision on a call, after its effects."""
         self.told += 1
         if effects := list(effects):
             self._out += [*effects, steps.LookAgain()]
@@ -346,47 +302,19 @@ class Calls:
                 **decision.inputs.facts,
             )
         )
-        return decision
-
-    def second_after_s(self, operation: Operation, server: str) -> float:
-        """The seconds after which a second server gets an open call of this server; infinite if none does."""
-        if self.deadlines.within_s(operation) is None:
-            return math.inf
-        second = self.placement.second(operation, server, begins=False)
-        plan = self.deadlines.prospect(operation, server, None if second is None else second.name)
-        return math.inf if plan is None or plan.after_s is None else plan.after_s
-
-    def second(self, first: Attempt) -> str | None:
-        """The server that gets a call beside the first attempt, as counted; None if none may get it."""
-        if not self.deadlines.may_ask(first.operation):
-            return None
-        server = self.placement.second(first.operation, first.server, begins=True)
-        if server is None:
-            return None
-        self.deadlines.asked(first.operation)
-        return server.name
 
     def is_next(self, call: Call, server: str, by_s: float) -> bool:
         """Whether the call is the next for a better answer of the server, which is free."""
         if not self.lanes.has_line:
             return True
-        self._wanted[call] = by_s - (self.estimates.remote_s(server, call.asked.operation) or 0.0)
+        self.wanted[call] = by_s - (self.estimates.remote_s(server, call.asked.operation) or 0.0)
         if self._deciding is not None or not self.lanes.is_free(server):
             return False
-        in_time = [wanted for wanted, latest_s in self._wanted.items() if latest_s >= self.now_s]
+        in_time = [wanted for wanted, latest_s in self.wanted.items() if latest_s >= self.now_s]
         first = max if self.lanes.newest_first else min
         return bool(in_time) and first(in_time, key=lambda wanted: wanted.made_s) is call
 
-    def wants_no_more(self, call: Call) -> None:
-        """Note that the call does not want a server for its better answer any more, or has one."""
-        self._wanted.pop(call, None)
-
     # --- at servers -----------------------------------------------------------------------------------------
-
-    def hold_server(self, attempt: Attempt) -> None:
-        """Hold the lane of the attempt's server until it is over."""
-        takes_s = self._takes_s(attempt.server, attempt.operation)
-        self.lanes.hold(attempt, attempt.server, self.now_s + takes_s)
 
     def release(self, work: Attempt | Computing) -> None:
         """Free the lane that an attempt or a computation held."""
@@ -394,7 +322,8 @@ class Calls:
         self._losers.discard(work)
         self.wake()
 
-    def _takes_s(self, server: str, operation: Operation) -> float:
+    def takes_s(self, server: str, operation: Operation) -> float:
+        """The expected seconds until a server answers a call that is sent now."""
         return self.lanes.queue_s(server, self.now_s) + (self.estimates.remote_s(server, operation) or 0.0)
 
     def send(self, attempt: Attempt, deadline_s: float) -> None:
@@ -417,23 +346,9 @@ class Calls:
         self.do(steps.Compute(own, hangs_after_s(self.estimates.local_s(own.operation))))
 
     def end_own(self, own: Computing) -> None:
-        """Note that the drone has computed; the next computation of the service begins."""
-        own.took_s = self.now_s - (own.began_s or 0.0)
-        self._leave_own(own)
-
-    def forget_own(self, own: Computing) -> None:
-        """Drop a computation."""
-        if own.began_s is not None:
-            self.do(steps.Stop(own))
-        self._leave_own(own)
-
-    def _leave_own(self, own: Computing) -> None:
+        """Note that the drone has computed, or will not; the next computation of the service begins."""
         line = self._own[own.operation.service]
         line.remove(own)
         if line and line[0].began_s is None:
             self._begin_computing(line[0])
         self.release(own)
-
-    def computed(self, own: Computing, asked: Operation | None = None) -> None:
-        """Tell the selection how long the drone took; `asked` for the first of two answers."""
-        self.tell(events.LocalCallEnded(own.operation, own.took_s, asked))

@@ -65,9 +65,10 @@ class OnServers(Manner):
 
     def look(self) -> None:
         """End the call, or put it into the line again."""
+        has_news = self._again_after is not None and self.calls.happened > self._again_after
         if self.calls.now_s >= self._limit_s:
             self._end()
-        elif self.calls.now_s >= self._again_s or self._has_news:
+        elif self.calls.now_s >= self._again_s or has_news:
             self._enter_again()
 
     def tried(self, attempt: Attempt) -> None:
@@ -114,10 +115,6 @@ class OnServers(Manner):
         if (until_s := self.calls.now_s + in_s) < self._limit_s:
             self._limit_s, self._why = until_s, why
             self.calls.wake()
-
-    @property
-    def _has_news(self) -> bool:
-        return self._again_after is not None and self.calls.happened > self._again_after
 
     def _try(self, remote: Remote) -> None:
         self.call.tries, self.call.winner = [], None

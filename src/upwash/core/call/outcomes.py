@@ -30,7 +30,6 @@ class Outcomes:
 
     def take_in(self, event: Outcome) -> None:
         """Take in what has come of an attempt."""
-        attempt = event.attempt
         match event:
             case steps.Reduced():
                 self._reduced(event)
@@ -38,7 +37,7 @@ class Outcomes:
                 self._replied(event)
             case steps.NotBegun():
                 self._not_begun(event)
-            case steps.SlotLost(_, why):
+            case steps.SlotLost(attempt, why):
                 self._calls.tell(events.SlotTaken(attempt.check, why, in_call=True))
                 attempt.call.tried(attempt, "failed")
             case steps.Failed():
@@ -91,7 +90,7 @@ class Outcomes:
 
     def _not_begun(self, event: steps.NotBegun) -> None:
         attempt, why, queue_s = event.attempt, event.why, event.queue_s
-        waited_s = self._calls.now_s - attempt.counts_from_s
+        waited_s, is_late = self._calls.now_s - attempt.counts_from_s, attempt.call.is_late(attempt)
         self._calls.do(
             schema.RemoteQueued(
                 waypoint=attempt.call.asked.waypoint,
@@ -102,7 +101,6 @@ class Outcomes:
                 why=why,
             )
         )
-        is_late = attempt.call.is_late(attempt)
         self._calls.tell(events.RemoteCallQueued(attempt.server, why, waited_s, queue_s, is_late))
         attempt.call.tried(attempt, "queued")
 

@@ -17,6 +17,7 @@ from upwash.core.call.attempts import Attempt, Computing
 from upwash.core.call.manner import Manner
 from upwash.core.operation import ON_DRONE
 from upwash.core.policies.policy import Decision, Local, Remote
+from upwash.core.selection import events
 from upwash.core.selection.hedging import Hedge
 from upwash.eventlog import schema
 
@@ -73,12 +74,27 @@ class Single(Manner):
         """Have a second server or the drone join the call, or a server overtake the drone."""
         call, calls = self.call, self.calls
         if call.own is not None and call.own.is_open and not call.open_tries:
-            self._be_overtaken(call.own)
+            if call.winner is None:  # else the drone tests its exception
+                self._be_overtaken(call.own)
             return
         if calls.now_s >= self._second_at_s:
             self._ask_second()
-        if call.own is None and calls.now_s >= self._own_at_s and calls.lanes.is_free(ON_DRONE):
-            self._compute_hedged()
+        if (
+            self._hedge
+            and call.own is None
+            and calls.now_s >= self._own_at_s
+            and calls.lanes.is_free(ON_DRONE)
+        ):
+            calls.do(
+                schema.Hedged(
+                    waypoint=call.asked.waypoint,
+                    server=call.tries[0].server,
+                    check=call.tries[0].check,
+                    after_s=self._hedge.after_s,
+                    deadline_s=self._hedge.deadline_s,
+                )
+            )
+            call.compute(call.operation)
 
     def tried(self, attempt: Attempt) -> None:
         """Wait for another try, or have the drone compute: once it has its turn, where a server did not begin."""
@@ -111,7 +127,7 @@ class Single(Manner):
             return
         if self.call.winner is not None:
             self.calls.outcomes.test(self.call.winner, raised=own.raised)
-        self.calls.computed(own)
+        self.calls.tell(events.LocalCallEnded(own.operation, own.took_s))
         self.call.end(own)
 
     def _go_on_without(self, own: Computing) -> None:
@@ -123,9 +139,16 @@ class Single(Manner):
     # --- attempts -------------------------------------------------------------------------------------------
 
     def _try(self, remote: Remote) -> None:
+        calls = self.calls
         self.call.tries, self.call.winner, self._is_seconded, self._second_s = [], None, False, None
-        first = self._attempt(remote)
-        self._second_after_s = self.calls.second_after_s(first.operation, first.server)
+        first, self._second_after_s = self._attempt(remote), math.inf
+        if calls.deadlines.within_s(first.operation) is not None:
+            second = calls.placement.second(first.operation, first.server, begins=False)
+            plan = calls.deadlines.prospect(
+                first.operation, first.server, None if second is None else second.name
+            )
+            if plan is not None and plan.after_s is not None:
+                self._second_after_s = plan.after_s
 
     def _attempt(self, remote: Remote) -> Attempt:
         what = self.call.own or self.call  # which it overtakes
@@ -144,46 +167,39 @@ class Single(Manner):
         first, calls = self.call.tries[0], self.calls
         self._is_seconded, after_s = True, calls.now_s - first.begun_s
         left_s = first.deadline_s - after_s
-        server = calls.second(first) if left_s > 0 else None
+        if left_s <= 0 or not calls.deadlines.may_ask(first.operation):
+            return
+        server = calls.placement.second(first.operation, first.server, begins=True)
         if server is None:
             return
+        calls.deadlines.asked(first.operation)
         self._second_s = after_s
         calls.do(
             schema.Seconded(
                 waypoint=self.call.asked.waypoint,
                 operation=str(first.operation),
                 server=first.server,
-                second=server,
-                check=calls.selection.servers[server].check,
+                second=server.name,
+                check=server.check,
                 after_s=after_s,
                 deadline_s=left_s,
             )
         )
-        self._attempt(Remote(server, left_s, f"{first.server} is late"))
+        self._attempt(Remote(server.name, left_s, f"{first.server} is late"))
 
     def _be_overtaken(self, own: Computing) -> None:
         """Attempt the call at a server that would answer before the drone, which computes it."""
-        if self.call.winner is not None:  # whose exception the drone tests
-            return
-        began_s = self.calls.now_s if own.began_s is None else own.began_s
-        remote, self._overtake_s = self.calls.overtake(self.call, own.operation, began_s)
+        calls, began_s = self.calls, own.began_s
+        remote, self._overtake_s = calls.selection.overtake(
+            own.operation,
+            began_s=calls.now_s if began_s is None else began_s,
+            now_s=calls.now_s,
+            position=calls.here,
+        )
         if remote is not None:
+            calls.decided(self.call, own.operation, remote)
             self._is_overtaken = True
             self._try(remote)
-
-    def _compute_hedged(self) -> None:
-        assert self._hedge is not None  # noqa: S101 - only a hedge sets the time
-        first = self.call.tries[0]
-        self.calls.do(
-            schema.Hedged(
-                waypoint=self.call.asked.waypoint,
-                server=first.server,
-                check=first.check,
-                after_s=self._hedge.after_s,
-                deadline_s=self._hedge.deadline_s,
-            )
-        )
-        self.call.compute(self.call.operation)
 
     def _fall_back(self) -> None:
         """Compute on the drone: after a reported exception the same call, to test it; else perhaps a lighter one."""

@@ -14,6 +14,7 @@ from upwash.core.call import steps
 from upwash.core.call.attempts import Attempt, Computing
 from upwash.core.call.manner import Manner
 from upwash.core.policies.policy import Decision, Remote
+from upwash.core.selection.events import LocalCallEnded
 from upwash.core.selection.settings import TwoAnswers
 
 if TYPE_CHECKING:
@@ -92,7 +93,7 @@ class Twice(Manner):
         if not self._has_place:
             self.calls.leave(self.call)
         if own.state == "answered":
-            self.calls.computed(own, asked=self.call.operation)
+            self.calls.tell(LocalCallEnded(own.operation, own.took_s, asked=self.call.operation))
             self._first_s = self.calls.now_s - self.call.made_s
             self.has_heard = not own.raised
             if self.has_heard:
@@ -115,7 +116,7 @@ class Twice(Manner):
         if remote is None or not is_decided or not (self._has_place or self._is_next(remote.server)):
             remote = self._sought(left_s)
         if remote is not None or self._none_comes:
-            calls.wants_no_more(call)
+            calls.wanted.pop(call, None)
         if remote is None:
             return
         call.tries, call.winner = [], None
@@ -129,10 +130,12 @@ class Twice(Manner):
         if left_s <= _MOMENT_S or self.call.is_enough:
             self._none_comes = True
             return None
-        server = self.calls.selection.current
+        call, calls, server = self.call, self.calls, self.calls.selection.current
         is_next = server is not None and self._is_next(server.name)
-        remote, may_come = self.calls.better(self.call, self._by_s, is_next=is_next)
-        self._none_comes = remote is None and self.call.is_waited_for and not may_come
+        remote, may_come = calls.placement.better(call.operation, self._by_s, is_next=is_next)
+        if remote is not None:
+            calls.decided(call, call.operation, remote)
+        self._none_comes = remote is None and call.is_waited_for and not may_come
         return remote
 
     def _is_next(self, server: str) -> bool:

@@ -36,8 +36,12 @@ class FrameTimes:
 
         The reader waited `waited_s` for it; `stamp_s` is its time in the stream, 0 if unknown.
         """
-        buffered_s = self._buffered_s(arrived_s, waited_s, stamp_s)
-        known = self._arrived_s is not None
+        step_s, self._stamp_s = stamp_s - self._stamp_s, stamp_s
+        ahead_s, known = arrived_s - stamp_s, self._arrived_s is not None
+        if step_s <= 0 or waited_s >= _PACE * step_s:  # it was not in a buffer
+            self._ahead_s = ahead_s
+            self.caught_up |= known
+        self._ahead_s = min(self._ahead_s, ahead_s)
         interval_s = 0.0 if self._arrived_s is None else arrived_s - self._arrived_s
         self._arrived_s = arrived_s
         if len(self._intervals_s) >= _FEWEST:
@@ -51,13 +55,4 @@ class FrameTimes:
             known = not in_burst
         if known:
             self._intervals_s.append(interval_s)
-        return arrived_s - max(self._late_s, buffered_s)
-
-    def _buffered_s(self, arrived_s: float, waited_s: float, stamp_s: float) -> float:
-        interval_s, self._stamp_s = stamp_s - self._stamp_s, stamp_s
-        ahead_s = arrived_s - stamp_s
-        if interval_s <= 0 or waited_s >= _PACE * interval_s:
-            self._ahead_s = ahead_s
-            self.caught_up |= self._arrived_s is not None
-        self._ahead_s = min(self._ahead_s, ahead_s)
-        return ahead_s - self._ahead_s
+        return arrived_s - max(self._late_s, ahead_s - self._ahead_s)

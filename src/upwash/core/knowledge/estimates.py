@@ -129,7 +129,7 @@ class Estimates:
         self._here: Position | None = None
         # What the coverage says of the servers, where the drone is.
         self._seen: Sequence[object] = [None for _ in coverage.servers] if coverage else ()
-        self._weights = self._weigh()
+        self._weights = dict.fromkeys(self._counts, 1 / max(1, len(self._counts)))
         self._mean_call_s: dict[str | None, float] = {}  # asked for since a window or a weight last changed
 
     def _believed(self, beliefs: Beliefs, less: Mapping[Operation, Less]) -> _AtServer:
@@ -176,13 +176,18 @@ class Estimates:
         hosting = [calls for its in self._servers.values() if (calls := its.calls.get(operation))]
         return _ALONE_FACTOR * max(calls.window.mean_s for calls in hosting) if hosting else None
 
-    def remote_s(self, server: str, operation: Operation, at: Position | None = None) -> float | None:
-        """Expected delay (s) of a remote call, transfer included (`Call_s`); None if the server does not host it."""
-        return self._remote_s(server, operation, at, slow=True)
+    def remote_s(
+        self, server: str, operation: Operation, at: Position | None = None, *, slow: bool = True
+    ) -> float | None:
+        """Expected delay (s) of a remote call, transfer included (`Call_s`); None if the server does not host it.
 
-    def usual_s(self, server: str, operation: Operation) -> float | None:
-        """Expected delay (s) of a remote call as `remote_s`, but without the last slow call of `slow_apart`."""
-        return self._remote_s(server, operation, None, slow=False)
+        Unless `slow`, the last slow call of `slow_apart` does not count.
+        """
+        calls = self._servers[server].calls.get(operation)
+        if calls is None:
+            return None
+        whole_s = self._whole_s(server, operation, at, slow=slow)
+        return self.alone_s(operation) if whole_s is None else self._sooner_s(operation, calls, whole_s)
 
     def offline_s(self, server: str, operation: Operation) -> float | None:
         """The delay (s) of a remote call sent whole, as believed before any call; None if not hosted there."""
@@ -243,23 +248,18 @@ class Estimates:
         Each call counts with the faster of both places; operations are weighted by their calls so far. With a single
         operation this is the thesis's min(Call, Call_s).
         """
-        if server is not None and self.is_measured(server):
-            return self._weighted_s(server, at)
-        if server not in self._mean_call_s:
-            self._mean_call_s[server] = self._weighted_s(server)
-        return self._mean_call_s[server]
+        if not self.is_measured(server) and (known_s := self._mean_call_s.get(server)) is not None:
+            return known_s
+        mean_s = 0.0
+        for operation, weight in self._weights.items():
+            call_s = self.alone_s(operation) or 0.0
+            remote_s = self.remote_s(server, operation, at) if server else None
+            mean_s += weight * (call_s if remote_s is None else min(call_s, remote_s))
+        if not self.is_measured(server):
+            self._mean_call_s[server] = mean_s
+        return mean_s
 
-    def _weighted_s(self, server: str | None, at: Position | None = None) -> float:
-        return sum(
-            weight * self._faster_s(operation, server, at) for operation, weight in self._weights.items()
-        )
-
-    def _faster_s(self, operation: Operation, server: str | None, at: Position | None) -> float:
-        call_s = self.alone_s(operation) or 0.0
-        remote_s = self.remote_s(server, operation, at) if server else None
-        return call_s if remote_s is None else min(call_s, remote_s)
-
-    def is_measured(self, server: str) -> bool:
+    def is_measured(self, server: str | None) -> bool:
         """Whether the server has no configured range, so that its delays are measured for each place."""
         return self.coverage is not None and server in self.coverage.servers
 
@@ -341,25 +341,17 @@ class Estimates:
 
     def next_forgetting_s(self, server: str, *, retry_s: float) -> float:
         """The time at which `forget_slow_calls` next changes an estimate; infinite if never."""
-        next_s = math.inf
-        for operation, calls in self._servers[server].calls.items():
-            if calls.last_s + retry_s < next_s and (
-                calls.slow_s is not None or self._is_known_slow(operation, calls)
-            ):
-                next_s = calls.last_s + retry_s
-        return next_s
+        return min(
+            (
+                calls.last_s + retry_s
+                for operation, calls in self._servers[server].calls.items()
+                if calls.slow_s is not None or self._is_known_slow(operation, calls)
+            ),
+            default=math.inf,
+        )
 
     def _is_known_slow(self, operation: Operation, calls: _Calls) -> bool:
         return self._is_slow(operation, self._sooner_s(operation, calls, calls.window.mean_s))
-
-    def _remote_s(
-        self, server: str, operation: Operation, at: Position | None, *, slow: bool
-    ) -> float | None:
-        calls = self._servers[server].calls.get(operation)
-        if calls is None:
-            return None
-        whole_s = self._whole_s(server, operation, at, slow=slow)
-        return self.alone_s(operation) if whole_s is None else self._sooner_s(operation, calls, whole_s)
 
     def _whole_s(self, server: str, operation: Operation, at: Position | None, *, slow: bool) -> float | None:
         """The delay of a call sent whole, by what was measured near the place, or else by the server's calls.
@@ -404,11 +396,6 @@ class Estimates:
 
     def _count(self, operation: Operation) -> None:
         self._counts[operation] += 1
-        self._weights = self._weigh()
+        if (calls := sum(self._counts.values())) >= _CALLS_BEFORE_WEIGHING:
+            self._weights = {operation: count / calls for operation, count in self._counts.items()}
         self._mean_call_s.clear()
-
-    def _weigh(self) -> dict[Operation, float]:
-        calls = sum(self._counts.values())
-        if calls < _CALLS_BEFORE_WEIGHING:
-            return dict.fromkeys(self._counts, 1 / len(self._counts)) if self._counts else {}
-        return {operation: count / calls for operation, count in self._counts.items()}

@@ -101,13 +101,22 @@ class Acts(Generic[T]):
         allows: Callable[[Position, Position], bool] = lambda *_: True,
     ) -> LateAct:
         """What an act costs at once, and in the gaps where it begins `within_s` and the straight ways are allowed."""
-        at_once_s, gaps = self._at_once_s(place, way), []
-        for number in range(self._first(way), len(self._plan)):
+        at_once_s, gaps, first = self._at_once_s(place, way), [], way.target
+        while way.end is not None and self._is_inside(first) and self._plan[first].position != way.end:
+            first += 1  # up to the last waypoint that its leg passes
+        for number in range(first, len(self._plan)):
             if self._least_s(number, place) >= at_once_s or self._in_s(number, place, way) > within_s:
                 continue
-            gap = self._best_order(number, place, way)
-            if self._allowed(gap, place, allows):
-                gaps.append(gap)
+            others = [each for each, _ in self._gaps.get(number, ())]
+            orders = range(len(others) + 1)
+            ways_s = [self._longer_s(number, [*others[:at], place, *others[at:]]) for at in orders]
+            order = min(orders, key=ways_s.__getitem__)
+            start, ahead = self._ends(number)
+            before = others[order - 1] if order else start
+            after = others[order] if order < len(others) else ahead
+            if allows(before, place) and (after is None or allows(place, after)):
+                extra_s = ways_s[order] - self._longer_s(number, others)
+                gaps.append(Gap(number, order, extra_s, self._in_s(number, place, way)))
         return LateAct(place, at_once_s, gaps)
 
     def put_off(self, act: T, place: Position, gap: Gap) -> None:
@@ -163,24 +172,6 @@ class Acts(Generic[T]):
         ends_s = self._pace.leg(twice_m, self._ground_speed_m_s).duration_s / 2  # at its speed already
         back_s = self._onwards_s(place, way.ahead, way.end)
         return braking_s + self._leg_s(way.rest, place) + back_s - ends_s
-
-    def _first(self, way: Way) -> int:
-        """The first waypoint ahead after which the drone may act: the last waypoint that its leg passes."""
-        first = way.target
-        while way.end is not None and self._is_inside(first) and self._plan[first].position != way.end:
-            first += 1
-        return first
-
-    def _best_order(self, number: int, place: Position, way: Way) -> Gap:
-        """The gap, with the place's best order among the acts there."""
-        places = [each for each, _ in self._gaps.get(number, ())]
-        ways_s = [
-            self._longer_s(number, [*places[:at], place, *places[at:]]) for at in range(len(places) + 1)
-        ]
-        order = min(range(len(ways_s)), key=ways_s.__getitem__)
-        return Gap(
-            number, order, ways_s[order] - self._longer_s(number, places), self._in_s(number, place, way)
-        )
 
     def _longer_s(self, number: int, places: Sequence[Position]) -> float:
         """The seconds that the way gets longer with acts at these places, in their order."""
@@ -250,13 +241,6 @@ class Acts(Generic[T]):
                 gone_m = distance_m(self._plan[number - 1].position, waypoint.position)
                 now_s += gone_m / self._ground_speed_m_s
             yield now_s
-
-    def _allowed(self, gap: Gap, place: Position, allows: Callable[[Position, Position], bool]) -> bool:
-        start, ahead = self._ends(gap.number)
-        others = [each for each, _ in self._gaps.get(gap.number, ())]
-        before = others[gap.order - 1] if gap.order else start
-        after = others[gap.order] if gap.order < len(others) else ahead
-        return allows(before, place) and (after is None or allows(place, after))
 
     def _leg_s(self, start: Position, end: Position) -> float:
         return self._pace.leg(distance_m(start, end), self._ground_speed_m_s).duration_s

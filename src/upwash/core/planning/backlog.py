@@ -83,14 +83,7 @@ class Backlog(Struct, frozen=True, kw_only=True):
 
     def wait_at(self, place: Position, *, here: Position, server: str | None = None) -> WaitPlace:
         """The place, and what a wait there takes for a drone that is here."""
-        answered_s = self._answered_s(here, place)
-        extra_m = max(0.0, longer_m(here, place, self.after or here))
-        return WaitPlace(
-            server, place, extra_m / self.ground_speed_m_s, answered_s, answered_s + self.onwards_s(place)
-        )
-
-    def _answered_s(self, here: Position, place: Position) -> float:
-        leg = self._leg(here, place)
+        leg, extra_m = self._leg(here, place), max(0.0, longer_m(here, place, self.after or here))
         gaining = [server for server in self.servers.values() if server.call_s < self.local_s]
         stays = [(server, _stay(leg, here, place, server.area)) for server in gaining]
         stays.sort(key=lambda each: each[1][1], reverse=True)  # of servers alike, the one left last is used
@@ -100,7 +93,9 @@ class Backlog(Struct, frozen=True, kw_only=True):
             line.compute()
             if not line.go_on(time_s for _, stay in stays for time_s in stay):
                 break  # of photos that only servers answer
-        return max(leg.duration_s, line.now_s)
+        answered_s = max(leg.duration_s, line.now_s)
+        extra_s, ends_s = extra_m / self.ground_speed_m_s, answered_s + self.onwards_s(place)
+        return WaitPlace(server, place, extra_s, answered_s, ends_s)
 
     def onwards_s(self, place: Position) -> float:
         """The seconds from the place to where the drone has to be afterwards."""

@@ -45,25 +45,32 @@ def make_forecast(
     seen: dict[str, float] = {}
     for call in expected:
         seen.update(call.in_range_s)
-    gaining = {name: servers[name] for name in seen if _gains(name, expected, estimates, local_s)}
-    rests_s = {server.name: rest_of_check_s(server, estimates, now_s) for server in selected}
-    checks = {name: _check_times(server, estimates, now_s, idle_s) for name, server in gaining.items()}
+    gaining = {
+        name: servers[name]
+        for name in seen
+        if any(
+            estimates.mean_call_s(name, call.position) < local_s
+            for call in (expected if estimates.is_measured(name) else expected[:1])  # elsewhere all are alike
+        )
+    }
+    checks = {
+        name: CheckTimes(
+            stopped_s=estimates.check_s(name, running=False),
+            running_s=estimates.check_s(name, running=True),
+            runs_for_s=server.since_s + idle_s - now_s if server.state is State.AVL_R else 0.0,
+        )
+        for name, server in gaining.items()
+    }
     for server in selected[1:]:
         if server.name in checks:
-            rest_s = rests_s[server.name]
+            rest_s = rest_of_check_s(server, estimates, now_s)
             checks[server.name] = CheckTimes(stopped_s=rest_s, running_s=rest_s)
     return Forecast(
         list(_calls(expected, estimates, gaining, banned_s)),
         checks,
-        rests_s[selected[0].name] if selected else 0.0,
+        rest_of_check_s(selected[0], estimates, now_s) if selected else 0.0,
         {name: server.peers for name, server in gaining.items() if server.peers},
     )
-
-
-def _gains(name: str, expected: Sequence[ExpectedCall], estimates: Estimates, local_s: float) -> bool:
-    if not estimates.is_measured(name):
-        return estimates.mean_call_s(name) < local_s
-    return any(estimates.mean_call_s(name, call.position) < local_s for call in expected)
 
 
 def rest_of_check_s(server: Server, estimates: Estimates, now_s: float) -> float:
@@ -107,11 +114,3 @@ def _calls(
         yield ComingCall(local_s, max(0.0, clock.at_s - before_s) if call.hides else call.gap_s, offers)
         if call.hides:
             clock.end(min([local_s, *(offer.call_s for offer in offers)]))
-
-
-def _check_times(server: Server, estimates: Estimates, now_s: float, idle_s: float) -> CheckTimes:
-    return CheckTimes(
-        stopped_s=estimates.check_s(server.name, running=False),
-        running_s=estimates.check_s(server.name, running=True),
-        runs_for_s=server.since_s + idle_s - now_s if server.state is State.AVL_R else 0.0,
-    )

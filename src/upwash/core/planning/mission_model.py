@@ -156,7 +156,9 @@ class MissionModel:
         if ground_speed_m_s is not None:
             self._ground_speed_m_s = ground_speed_m_s
         if self._way is None or self._place != target or self._index is None:
-            self._index = self._find(target)
+            following = 0 if self._index is None else self._index + 1  # or else an earlier waypoint there
+            order = itertools.chain(range(following, len(self._plan)), range(following))
+            self._index = next((index for index in order if self._plan[index].position == target), None)
         self._place, self._here = target, []
         self._last_leg_m, self._begun_s = distance_m(start, target), now_s
         self._way, *self._then = self._legs_to(None if back else self._index, start, target, via)
@@ -222,8 +224,14 @@ class MissionModel:
         return list(self._calls(self._place, position, now_s))
 
     def _calls(self, place: Position, position: Position, now_s: float) -> Iterator[ExpectedCall]:
-        if self._way is not None:
-            steps, gap_s, in_range_s = self._routine, *self._rest_of_way(self._way, position)
+        if (way := self._way) is not None:
+            flown_s = way.leg.reached_s(way.leg.length_m - distance_m(position, way.end))
+            whole = self._way_of([way, *self._then])
+            steps, gap_s = self._routine, whole.duration_s - flown_s + self._hold_s()
+            in_range_s = {
+                server: None if way_s is None else gap_s - max(0.0, way_s - flown_s)
+                for server, way_s in whole.entered_s.items()
+            }
         elif self._flies_on:  # its call is made, and it flies on now
             steps, gap_s, in_range_s = (), 0.0, {}
         else:
@@ -231,12 +239,12 @@ class MissionModel:
             in_range_s = dict.fromkeys(self._entered(place, place))
         yield from self._calls_of(steps, place, gap_s, in_range_s)
         free_s = 0.0 if steps else gap_s
-        for end, way in self._ways_after(place):
+        for end, coming in self._ways_after(place):
             leaving_s = max(0.0, free_s + self._leaving_s)
-            gap_s = leaving_s + way.duration_s
+            gap_s = leaving_s + coming.duration_s
             in_range_s = {
                 server: None if way_s is None else gap_s - leaving_s - way_s
-                for server, way_s in way.entered_s.items()
+                for server, way_s in coming.entered_s.items()
             }
             yield from self._calls_of(self._routine, end, gap_s, in_range_s)
             free_s = 0.0
@@ -257,16 +265,6 @@ class MissionModel:
                 for server, time_s in in_range_s.items()
             }
             yield ExpectedCall(step.operation, whole_s, known_s, place, hides=self._flies_on)
-
-    def _rest_of_way(self, way: PlannedLeg, position: Position) -> tuple[float, Mapping[str, float | None]]:
-        leg = way.leg
-        flown_s = leg.reached_s(leg.length_m - distance_m(position, way.end))
-        whole = self._way_of([way, *self._then])
-        rest_s = whole.duration_s - flown_s + self._hold_s()
-        return rest_s, {
-            server: None if way_s is None else rest_s - max(0.0, way_s - flown_s)
-            for server, way_s in whole.entered_s.items()
-        }
 
     def _ways_after(self, place: Position) -> Iterator[tuple[Position, _Way]]:
         if self._index is None:
@@ -302,37 +300,29 @@ class MissionModel:
             start = legs[-1].end
             if index is not None:
                 ground_speed_m_s = ground_speed_m_s or self._plan[index].ground_speed_m_s
-        section = None if index is None else self._section(index, ground_speed_m_s)
-        leg = section or self._leg(distance_m(start, target), ground_speed_m_s)
+        leg: Leg | Section = self._leg(distance_m(start, target), ground_speed_m_s)
+        if index is not None and (row_end := self._plan[index].row_end) is not None:
+            first, row_start = self._row_starts[index]
+            if row_start != self._plan[index].position:  # else the leg begins at rest there
+                whole = self._leg(distance_m(row_start, row_end), ground_speed_m_s)
+                before = row_start if first == index else self._plan[index - 1].position
+                to_m = distance_m(before, self._plan[index].position)
+                leg = Section(whole, distance_m(row_start, before), to_m)
         return [*legs, PlannedLeg(start, target, leg)]
 
     def _via_legs(self, index: int | None, start: Position, via: Sequence[Via]) -> list[PlannedLeg]:
         """The legs over these places, from the waypoint of that index if it is one."""
         legs: list[PlannedLeg] = []
         for place in via:
-            row = self._rest_of_row(index, place) if index is not None and not legs else None
-            leg = row or self._leg(distance_m(start, place.position), place.ground_speed_m_s)
+            leg: Leg | Section = self._leg(distance_m(start, place.position), place.ground_speed_m_s)
+            if index is not None and not legs and self._plan[index].row_end == place.position:
+                row_start = self._row_starts[index][1]
+                whole = self._leg(distance_m(row_start, place.position), place.ground_speed_m_s)
+                flown_m = distance_m(row_start, self._plan[index].position)
+                leg = Section(whole, flown_m, whole.length_m - flown_m)
             legs.append(PlannedLeg(start, place.position, leg, place.hold_s))
             start = place.position
         return legs
-
-    def _section(self, index: int, ground_speed_m_s: float | None = None) -> Section | None:
-        """The part of a row's leg that ends at the waypoint; None if the leg begins or ends at rest there."""
-        waypoint, (first, start) = self._plan[index], self._row_starts[index]
-        if start == waypoint.position or waypoint.row_end is None:
-            return None
-        whole = self._leg(distance_m(start, waypoint.row_end), ground_speed_m_s)
-        before = start if first == index else self._plan[index - 1].position
-        return Section(whole, distance_m(start, before), distance_m(before, waypoint.position))
-
-    def _rest_of_row(self, index: int, end: Via) -> Section | None:
-        """The part of a row's leg from the waypoint to the row's end; None if the row ends elsewhere."""
-        waypoint, (_, start) = self._plan[index], self._row_starts[index]
-        if waypoint.row_end != end.position:
-            return None
-        whole = self._leg(distance_m(start, end.position), end.ground_speed_m_s)
-        flown_m = distance_m(start, waypoint.position)
-        return Section(whole, flown_m, whole.length_m - flown_m)
 
     def _way_of(self, legs: Sequence[PlannedLeg]) -> _Way:
         """The legs as one way."""
@@ -353,12 +343,6 @@ class MissionModel:
 
     def _hold_s(self) -> float:
         return 0.0 if self._index is None or self._is_back else self._plan[self._index].hold_s
-
-    def _find(self, target: Position) -> int | None:
-        """The next waypoint at the target, or else an earlier waypoint there."""
-        following = 0 if self._index is None else self._index + 1
-        order = itertools.chain(range(following, len(self._plan)), range(following))
-        return next((index for index in order if self._plan[index].position == target), None)
 
     def _entered(self, start: Position, end: Position) -> Mapping[str, float]:
         """For each server in range at the end of a leg, where the leg enters its range; 0 where it begins there."""

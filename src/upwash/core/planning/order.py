@@ -54,20 +54,20 @@ def sweeps(given: Sequence[Waypoint]) -> tuple[Sweep, ...]:
     by_rows = len(columns) > 1 and any(given[0] in row and given[1] in row for row in rows)
     corners = ((False, False), (True, True), (True, False), (False, True))
     ways = itertools.product((by_rows, not by_rows), corners)
-    return tuple(
-        _sweep(number, rows, columns, top=top ^ up, right=right ^ across, by_rows=along)
-        for number, (along, (up, across)) in enumerate(ways)
-    )
-
-
-def _sweep(number: int, rows: _Lines, columns: _Lines, *, top: bool, right: bool, by_rows: bool) -> Sweep:
-    lines, from_last, from_end = (rows, top, right) if by_rows else (columns, right, top)
-    waypoints: list[Waypoint] = []
-    for line in reversed(lines) if from_last else lines:
-        waypoints += reversed(line) if from_end else line
-        from_end = not from_end
-    corner = f"{'top' if top else 'bottom'}-{'right' if right else 'left'}"
-    return Sweep(number, f"by {'rows' if by_rows else 'columns'} from the {corner}", tuple(waypoints))
+    found = []
+    for number, (along, (up, across)) in enumerate(ways):
+        from_top, from_right = top ^ up, right ^ across
+        lines, from_last, from_end = (
+            (rows, from_top, from_right) if along else (columns, from_right, from_top)
+        )
+        waypoints: list[Waypoint] = []
+        for line in reversed(lines) if from_last else lines:
+            waypoints += reversed(line) if from_end else line
+            from_end = not from_end
+        corner = f"{'top' if from_top else 'bottom'}-{'right' if from_right else 'left'}"
+        name = f"by {'rows' if along else 'columns'} from the {corner}"
+        found.append(Sweep(number, name, tuple(waypoints)))
+    return tuple(found)
 
 
 def _rows(given: Sequence[Waypoint]) -> _Lines:

@@ -138,7 +138,11 @@ def quickest(
         return labels
 
     best = min(labels_within(least_s + little_s) or labels_within(math.inf), key=_cost_and_rest)
-    return Schedule(_servers(best), best.cost_s)
+    total_s, servers = best.cost_s, []
+    while best.before is not None:
+        servers.append(best.server)
+        best = best.before
+    return Schedule(servers[::-1], total_s)
 
 
 def _stages(calls: Sequence[ComingCall], useful: Mapping[str, _Useful]) -> tuple[Sequence[_Stage], float]:
@@ -167,7 +171,13 @@ def _useful(
             track[0][number] = offer.call_s
             track[1][number] = offer.head_start_s
     useful: dict[str, _Useful] = {}
-    for name in sorted(tracks, key=lambda name: _rank(tracks[name])):
+
+    def rank(name: str) -> tuple[int, float]:
+        """Sort servers in range of most calls first, then fast servers."""
+        in_range = list(filter(math.isfinite, tracks[name][0]))
+        return -len(in_range), sum(in_range)
+
+    for name in sorted(tracks, key=rank):
         calls_s, head_starts_s = tracks[name]
         for other, its in useful.items():
             its_calls_s, its_head_starts_s = tracks[other]
@@ -185,12 +195,6 @@ def _useful(
             check = checks[name]
             useful[name] = _Useful(check, 1 << len(useful), check.stopped_s - check.running_s - _ASKING_S)
     return useful
-
-
-def _rank(track: _Track) -> tuple[int, float]:
-    """Sort servers in range of most calls first, then fast servers."""
-    in_range = list(filter(math.isfinite, track[0]))
-    return -len(in_range), sum(in_range)
 
 
 def _is_no_lonelier(server: str, other: str, peers: Mapping[str, frozenset[str]]) -> bool:
@@ -296,11 +300,3 @@ def _unbeaten(served: list[_Label]) -> list[_Label]:
             if len(best) < _MOST_STARTED or len({started, *(each.started for each in best)}) <= _MOST_STARTED:
                 best.append(label)
     return best
-
-
-def _servers(label: _Label) -> list[str | None]:
-    servers = []
-    while label.before is not None:
-        servers.append(label.server)
-        label = label.before
-    return servers[::-1]

@@ -42,8 +42,9 @@ class LookAhead(BuiltInRules):
             return self.reactive.choose(situation)
         local_s = situation.local_mean_call_s
         in_range = [option.server for option in situation.options if option.mean_call_s < local_s]
-        current = situation.current if situation.current in in_range else None
-        if current is not None and self._holds(situation.under_way, forecast):
+        current, under_way = situation.current if situation.current in in_range else None, situation.under_way
+        is_checked = under_way is not None and forecast.ready_in_s > 0  # during a local call
+        if current is not None and (isinstance(under_way, Remote) or is_checked):
             return Choice(current, "a call is under way")
         best = self._quickest(forecast, current)
         following = best.servers[0]
@@ -63,10 +64,6 @@ class LookAhead(BuiltInRules):
         if following not in in_range:
             return Choice(current, f"{following} is not in range yet", _coming(best, forecast, current))
         return Choice(following, f"{gains}, {saved_s:.1f} s less than with {current} kept")
-
-    def _holds(self, under_way: Decision | None, forecast: Forecast) -> bool:
-        """Whether the server must be kept: a remote call is under way, or a check during a local call."""
-        return isinstance(under_way, Remote) or (under_way is not None and forecast.ready_in_s > 0)
 
     def _quickest(self, forecast: Forecast, current: str | None, *, stays: bool = False) -> Schedule:
         return quickest(

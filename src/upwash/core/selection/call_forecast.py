@@ -71,18 +71,15 @@ class CallForecast:
     def delay_s(self, place: CallPlace, call: ExpectedCall, operation: Operation | None = None) -> float:
         """The seconds that the call takes there, with the wait for a check; `operation` replaces the call's own."""
         operation = operation or call.operation
-        measured = place.server is not None and self._estimates.is_measured(place.server)
-        at = call.position if measured else None  # elsewhere the delay is the same at all places
+        # Elsewhere the delay is the same at all places.
+        at = call.position if self._estimates.is_measured(place.server) else None
         key = place, operation, at
         delay_s = self._delays_s.get(key)
         if delay_s is None:
-            delay_s = self._delays_s[key] = self._decided_s(*key)
+            delay_s, first = self._placed_s(*key), self.first.get(operation)
+            first_s = None if first is None else self._estimates.local_s(first)
+            delay_s = self._delays_s[key] = delay_s if first_s is None else min(first_s, delay_s)
         return delay_s
-
-    def _decided_s(self, place: CallPlace, operation: Operation, at: Position | None) -> float:
-        decided_s, first = self._placed_s(place, operation, at), self.first.get(operation)
-        first_s = None if first is None else self._estimates.local_s(first)
-        return decided_s if first_s is None else min(first_s, decided_s)
 
     def _placed_s(self, place: CallPlace, operation: Operation, at: Position | None) -> float:
         server, local_s = place.server, self._estimates.local_s(operation) or 0.0

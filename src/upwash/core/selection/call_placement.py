@@ -21,6 +21,7 @@ from msgspec import structs
 from upwash.core.knowledge.servers import CHECKING, Server, State
 from upwash.core.operation import ON_DRONE, Operation
 from upwash.core.planning.earliest import Lane, Line, WaitingCall
+from upwash.core.planning.forecast import rest_of_check_s
 from upwash.core.policies.policy import CallInputs, Decision, Inputs, Local, Remote, Wait
 from upwash.core.selection.lanes import InLine
 from upwash.core.selection.moment import Moment, Part
@@ -54,12 +55,6 @@ class CallPlacement(Part):
         is_for_both = is_twice and server is not None and self._lanes.is_free(server.name)
         return call, "either" if is_for_both else "drone"
 
-    def _is_awaited(self) -> bool:
-        """Whether the server in use takes a call of the line."""
-        line = self._line()
-        take = None if line is None else self._policy.place_in_line(line)
-        return take is not None and take.lane == "server"
-
     def _line(self) -> Line | None:
         """The calls in line, and their lanes; None without a call or a free lane."""
         calls, server = self._lanes.line, self._radios.in_use
@@ -67,7 +62,18 @@ class CallPlacement(Part):
         if not calls or not (drone.is_free or (at_server is not None and at_server.is_free)):
             return None
         known = {operation: self._both_s(operation) for operation in {call.operation for call in calls}}
-        return Line([self._waiting(call, *known[call.operation]) for call in calls], drone, at_server)
+        waiting = [
+            WaitingCall(
+                call.operation,
+                self._now_s - call.since_s,
+                known[call.operation][0],
+                math.inf if call.on_drone else known[call.operation][1],
+                call.urgent,
+                call.operation in self._two_answers,
+            )
+            for call in calls
+        ]
+        return Line(waiting, drone, at_server)
 
     def _lane(self, place: str) -> Lane:
         lanes, now_s = self._lanes, self._now_s
@@ -76,16 +82,6 @@ class CallPlacement(Part):
             lanes.rest_s(place, now_s),
             lanes.queue_s(place, now_s),
             lanes.usual_wait_s(place),
-        )
-
-    def _waiting(self, call: InLine, local_s: float, remote_s: float) -> WaitingCall:
-        return WaitingCall(
-            call.operation,
-            self._now_s - call.since_s,
-            local_s,
-            math.inf if call.on_drone else remote_s,
-            call.urgent,
-            call.operation in self._two_answers,
         )
 
     @property
@@ -118,7 +114,7 @@ class CallPlacement(Part):
         first_s = self._estimates.local_s(two.first)
         return local_s if first_s is None else first_s
 
-    def decide(
+    def decide(  # noqa: PLR0912
         self, operation: Operation, *, on_drone: bool = False, drone_is_busy: bool = False
     ) -> Decision:
         """Decide where a call made now runs; leave the server in use if it is out of range.
@@ -154,17 +150,12 @@ class CallPlacement(Part):
         if isinstance(decision, Remote):
             if two is not None and not drone_is_busy and self._first_s(two, local_s) < remote_s:
                 decision = replace(decision, raced=True)
-            decision = self._behind_queue(decision, operation)
+            deadline_s, queue_s = decision.deadline_s, self._lanes.queue_s(server.name, self._now_s)
+            if self._lanes.has_line:  # it has counted the queue: here nothing else may be sooner
+                decision = replace(decision, deadline_s=deadline_s + self._wait_s(server.name))
+            elif queue_s > self.may_queue_s(server.name, operation, deadline_s):
+                return Local(f"{server.name} has {queue_s:.1f} s of calls in its queue", inputs)
         return replace(decision, inputs=inputs)
-
-    def _behind_queue(self, decision: Remote, operation: Operation) -> Local | Remote:
-        """The decision with a deadline that counts the server's queue; Local if the queue is too long for a call."""
-        server, queue_s = decision.server, self._lanes.queue_s(decision.server, self._now_s)
-        if self._lanes.has_line:  # it has counted the queue: here nothing else may be sooner
-            return replace(decision, deadline_s=decision.deadline_s + self._wait_s(server))
-        if queue_s > self.may_queue_s(server, operation, decision.deadline_s):
-            return Local(f"{server} has {queue_s:.1f} s of calls in its queue")
-        return decision
 
     def may_queue_s(self, server: str, operation: Operation, deadline_s: float) -> float:
         """The seconds within which the server has to begin a call that is sent now, to answer it by its deadline."""
@@ -209,7 +200,7 @@ class CallPlacement(Part):
                 if self._recovery.trial_due_s(server.name, operation) > self._now_s:
                     continue
                 if begins:
-                    self._recovery.trial_begun(server.name)
+                    self._recovery.trials.add(server.name)
             return server
         return None
 
@@ -271,12 +262,16 @@ class CallPlacement(Part):
         server, now_s = self._ready, self._now_s
         if self._recovery.probing is None or server is None:
             return None, math.inf
-        if not self._lanes.is_free(server.name) or self._is_awaited():
+        if not self._lanes.is_free(server.name):
+            return None, math.inf
+        line = self._line()
+        take = None if line is None else self._policy.place_in_line(line)
+        if take is not None and take.lane == "server":  # for a call in line
             return None, math.inf
         if (queue_s := self._lanes.queue_s(server.name, now_s)) > 0:
             return None, now_s + queue_s
         local_s = self._estimates.local_s(operation)
-        usual_s = self._estimates.usual_s(server.name, operation)
+        usual_s = self._estimates.remote_s(server.name, operation, slow=False)
         if local_s is None or usual_s is None or usual_s >= began_s + local_s - now_s:
             return None, math.inf
         due_s = self._recovery.trial_due_s(server.name, operation)
@@ -298,10 +293,8 @@ class CallPlacement(Part):
         remote_s = self._estimates.remote_s(server.name, operation)
         if remote_s is None or server.is_full(now_s):
             return None, False
-        begins_s = now_s
-        if server.state is not State.READY:
-            begins_s += max(0.0, self._check_s(server) - (now_s - server.checked_since_s))
-        else:
+        begins_s = now_s + rest_of_check_s(server, self._estimates, now_s)
+        if server.state is State.READY:
             begins_s = max(now_s, self._recovery.trial_due_s(server.name, operation))
         begins_s += self._lanes.queue_s(server.name, now_s)
         if begins_s + remote_s > by_s:
@@ -316,7 +309,7 @@ class CallPlacement(Part):
 
     def _on_trial(self, server: Server, operation: Operation, local_s: float) -> Decision | None:
         """Where a call runs if the operation is in doubt on its server; None otherwise."""
-        name, usual_s = server.name, self._estimates.usual_s(server.name, operation)
+        name, usual_s = server.name, self._estimates.remote_s(server.name, operation, slow=False)
         if not self._recovery.in_doubt(name, operation):
             return None
         if usual_s is None or usual_s >= local_s:
@@ -327,5 +320,5 @@ class CallPlacement(Part):
             return Local(f"{name} failed or was slow: it is tried again soon")
         if not self._lanes.is_free(name):
             return Local(f"{name} failed or was slow, and still has an earlier call")
-        self._recovery.trial_begun(name)
+        self._recovery.trials.add(name)
         return Remote(name, max(_TRIAL_S, local_s), "on trial", raced=True)

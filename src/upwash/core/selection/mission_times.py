@@ -114,7 +114,7 @@ class MissionTimes(Part):
             ]
             _, lightest_s = self._times(calls, takeoff_s)
             foreseen = structs.replace(foreseen, lightest_s=lightest_s, finish_by_s=settings.finish_by_s)
-        self._moment.do(foreseen)
+        self._moment.effects.append(foreseen)
 
     def _times(self, calls: Sequence[ExpectedCall], takeoff_s: float) -> tuple[Sequence[float], float]:
         """When each waypoint is reached, and when the mission is over."""

@@ -37,15 +37,11 @@ class Moment:
         if not is_known and (self.table.locate(position, now_s) | self.estimates.locate(position)):
             self.changed = True
 
-    def do(self, effect: Effect) -> None:
-        """Add a command, or an event of the log."""
-        self.effects.append(effect)
-
     def step(self, server: Server, trigger: Trigger, why: str = "") -> None:
         """Change the server's state; the log's event has the mean delays that are expected now."""
         before, estimates = server.state, self.estimates
         server.apply(trigger, now_s=self.now_s)
-        self.do(
+        self.effects.append(
             schema.STEPS[trigger](
                 server=server.name,
                 before=before,

@@ -110,13 +110,13 @@ class Radios(Part):
             if server.state is State.CHECK and server.found_stopped and not server.start_requested:
                 server.start_requested = True
                 limit_s = self._limit_s(server, running=False)
-                self._moment.do(Start(server.name, server.check, limit_s))
+                self._moment.effects.append(Start(server.name, server.check, limit_s))
 
     def prefer(self, server: Server, why: str) -> None:
         """Use a server that is READY in preparation, and keep the one in use as the one in preparation."""
         if server in self.selected[1:] and server.state is State.READY:
             self.selected.reverse()
-            self._moment.do(schema.Preferred(server=server.name, check=server.check, why=why))
+            self._moment.effects.append(schema.Preferred(server=server.name, check=server.check, why=why))
 
     def ask_again(self, server: Server, why: str) -> None:
         """Ask a READY server for a new slot, as the drone's turn there is over; the radio stays."""
@@ -129,7 +129,7 @@ class Radios(Part):
         """Leave a server in use or in preparation that has not failed."""
         self.selected.remove(server)
         self._moment.step(server, server.deselection, why)
-        self._moment.do(Leave(server.name, server.check))
+        self._moment.effects.append(Leave(server.name, server.check))
 
     def fail(self, server: Server, trigger: Trigger, why: str, *, pause_s: float = 0.0) -> None:
         """Blacklist a server in use or in preparation; with probing its radio stays there.
@@ -151,7 +151,7 @@ class Radios(Part):
             self._probe(server)
         else:
             server.leave_out(pause_s, self._now_s)
-            self._moment.do(Leave(server.name, server.check))
+            self._moment.effects.append(Leave(server.name, server.check))
 
     def pause(self, server: Server, pause_s: float, why: str) -> None:
         """End the probe of a server that is not used for `pause_s`."""
@@ -163,21 +163,16 @@ class Radios(Part):
         """Probe failed servers in range, as far as radios are free."""
         if self._recovery.probing is None:
             return
-        failed = [
-            server
-            for server in self._table.in_range
-            if server.state is State.BLACKLISTED
-            and server not in self.probed
-            and server.left_out_until_s <= self._now_s
-        ]
-        for server in failed[: max(0, self._free)]:
-            self._probe(server)
+        for server in self._table.in_range:
+            is_left_alone = server in self.probed or server.left_out_until_s > self._now_s
+            if server.state is State.BLACKLISTED and not is_left_alone and self._free > 0:
+                self._probe(server)
 
     def end_probes(self, servers: Iterable[Server]) -> None:
         """End the probes of these servers, and leave their networks."""
         for server in list(servers):
             self.probed.remove(server)
-            self._moment.do(Leave(server.name, server.check))
+            self._moment.effects.append(Leave(server.name, server.check))
 
     def _is_put_off(self) -> bool:
         allowed_s = self._selected_s[0] + SELECTED_IN_S
@@ -203,13 +198,13 @@ class Radios(Part):
 
     def _ask(self, server: Server, trigger: Trigger, why: str) -> None:
         self._moment.step(server, trigger, why)
-        self._moment.do(Check(server.name, server.check, self._limit_s(server, running=True)))
+        self._moment.effects.append(Check(server.name, server.check, self._limit_s(server, running=True)))
 
     def _probe(self, server: Server) -> None:
         assert self._recovery.probing is not None  # noqa: S101 - else nothing is probed
         server.check = self._next_number()
         self.probed.append(server)
-        self._moment.do(
+        self._moment.effects.append(
             Probe(
                 server.name,
                 server.check,
@@ -220,7 +215,9 @@ class Radios(Part):
         )
 
     def _note_pause(self, server: Server, pause_s: float, why: str) -> None:
-        self._moment.do(schema.LeftOut(server=server.name, check=server.check, pause_s=pause_s, why=why))
+        self._moment.effects.append(
+            schema.LeftOut(server=server.name, check=server.check, pause_s=pause_s, why=why)
+        )
 
     def _limit_s(self, server: Server, *, running: bool) -> float:
         """The longest time (s) of joining and asking, if services are `running`, or of starting them."""

@@ -74,20 +74,15 @@ class _Doubt(Struct, frozen=True):
     since_s: float
     last_s: float
 
-    @property
-    def retried_s(self) -> float:
-        """The time from which the operation may be tried again."""
-        return self.last_s + min((self.last_s - self.since_s) / _SLOW_SHARE, _LONGEST_BETWEEN_TRIALS_S)
-
 
 class Recovery:
     """The failures of one drone's servers, and the trial calls that are due; without probing nothing is in doubt."""
 
     def __init__(self, probing: Probing | None) -> None:
         self.probing = probing
+        self.trials: set[str] = set()  # servers that are at one
         self._failures: dict[str, ServerFailures] = {}
         self._doubts: dict[str, dict[Operation, _Doubt]] = {}
-        self._trials: set[str] = set()  # servers that are at one
 
     def failed(
         self, server: str, operations: Iterable[Operation], *, counts: bool = True, now_s: float
@@ -95,7 +90,7 @@ class Recovery:
         """Note that the server failed: the operations are in doubt there; if it `counts`, pauses grow."""
         if counts:
             self._failures[server] = self._failures.get(server, ServerFailures()).after(now_s)
-        self._trials.discard(server)
+        self.trials.discard(server)
         for operation in operations:
             self._doubt(server, operation, now_s)
 
@@ -103,19 +98,11 @@ class Recovery:
         self, server: str, operation: Operation, delay_s: float, *, local_s: float, now_s: float
     ) -> None:
         """Note that a call was answered: one faster than the drone ends the doubt, a slower one renews it."""
-        self._trials.discard(server)
+        self.trials.discard(server)
         if delay_s < local_s:
             self._doubts.get(server, {}).pop(operation, None)
         else:
             self._doubt(server, operation, now_s)
-
-    def trial_begun(self, server: str) -> None:
-        """Note that a trial call to the server begins."""
-        self._trials.add(server)
-
-    def trial_over(self, server: str) -> None:
-        """Note that the trial call to the server ended without an answer."""
-        self._trials.discard(server)
 
     def in_doubt(self, server: str, operation: Operation | None = None) -> bool:
         """Whether a call of the operation, or of any operation if None, would be a trial on the server."""
@@ -124,10 +111,12 @@ class Recovery:
 
     def trial_due_s(self, server: str, operation: Operation) -> float:
         """The time from which the operation may be tried there; minus infinity if it is not in doubt."""
-        if server in self._trials:
+        if server in self.trials:
             return math.inf
-        doubt = self._doubts.get(server, {}).get(operation)
-        return doubt.retried_s if doubt is not None else -math.inf
+        if (doubt := self._doubts.get(server, {}).get(operation)) is None:
+            return -math.inf
+        slow_s = doubt.last_s - doubt.since_s
+        return doubt.last_s + min(slow_s / _SLOW_SHARE, _LONGEST_BETWEEN_TRIALS_S)
 
     def alone_s(self, server: str, *, now_s: float) -> float:
         """For how many seconds more the server is left alone."""

@@ -3,11 +3,8 @@
 It joins the table of servers (servers.py), the roles of radios (radios.py), the choice of a server
 (server_planning.py) and the places of calls (call_placement.py).
 
-Laws:
-- every change of a state is one of `servers.TRANSITIONS`; no more servers are selected than there are radios;
-- the first selected server is in use: all remote calls go there; a second is in preparation, and follows it;
-- a check is known by its number; what arrives for an old check changes nothing;
-- a failed server is left alone for a fixed time, or probed if a radio is free (recovery.py);
+Laws, beside those of radios.py and recovery.py:
+- every change of a state is one of `servers.TRANSITIONS`;
 - a server without a slot has not failed: the drone goes on asking there, unless another server is better;
 - with probing, a call on the drone also goes to a server that becomes READY before the drone is done;
 - a reported exception counts as an answer if the drone's own service raises too, and as a failed call otherwise;
@@ -15,8 +12,7 @@ Laws:
 - a call that only servers compute waits for one, and has a server wanted until it is over;
 - each event ends with a new look at the selection; a decision on a call may leave a server, but selects none;
 - the services of a server that was found stopped are started after that look, if the server is still selected;
-- no more than four servers are selected within one second;
-- commands are carried out in their order; with one radio a server is selected after the former is left.
+- commands are carried out in their order.
 """
 
 from __future__ import annotations
@@ -241,7 +237,7 @@ class Selection(Part):
                 self.lanes.queue(name, max(queue_s, _LEAST_QUEUE_S), moment.now_s)
                 if self.lanes.has_line:
                     self.lanes.waited(name, waited_s + queue_s)
-                self._recovery.trial_over(name)
+                self._recovery.trials.discard(name)
                 if not late:
                     planning.under_way = Local(why)
             case events.RemoteCallFailed(name, check, why, late):
@@ -277,7 +273,7 @@ class Selection(Part):
                 server.full_s = server.contended_s = moment.now_s
                 if not server.refused:
                     server.refused = True
-                    moment.do(schema.NoSlot(server=server.name, check=check, waiting=waiting))
+                    moment.effects.append(schema.NoSlot(server=server.name, check=check, waiting=waiting))
             case events.LeaseRenewed(_, waiting) if is_ready:
                 server.contended_s = moment.now_s if waiting else -math.inf
                 moment.changed = True
@@ -298,7 +294,7 @@ class Selection(Part):
                 trigger = Trigger.PROBED_RUNNING if running else Trigger.PROBED
                 self._moment.step(server, trigger, "it gives a sign of life")
             case events.ProbeUnanswered():
-                self._probed_in_vain(server)
+                self._asked(server, answered=False, once=True)
             case events.ServerUnusable(_, why, _, pause_s):
                 self._radios.pause(server, pause_s, why)
 
@@ -320,7 +316,7 @@ class Selection(Part):
         if event.in_call:
             if self.planning.under_way is not None:
                 self.planning.under_way = Local(event.why)
-            self._recovery.trial_over(server.name)
+            self._recovery.trials.discard(server.name)
             server.turns_lost += 1
         if not server.in_range:
             self._radios.leave(server, "out of range")
@@ -347,7 +343,7 @@ class Selection(Part):
             self._radios.leave(server, "out of range")
 
     def _call_failed(self, name: str, check: int, why: str) -> None:
-        self._recovery.trial_over(name)
+        self._recovery.trials.discard(name)
         server = self._radios.ready(name, check)
         if server is not None:
             in_range = server.in_range
@@ -363,22 +359,19 @@ class Selection(Part):
         self.servers[name].turns_lost = 0
         self.estimates.observe_remote(name, operation, delay_s, now_s=now_s, late=late, less=less)
 
-    def _probed_in_vain(self, server: Server) -> None:
-        """Record a probe without an answer, once for each place."""
-        coverage = self.estimates.coverage
+    def _asked(self, server: Server, *, answered: bool, once: bool = False) -> None:
+        """Record whether the server answers here; `once` for each place, where it did not."""
+        coverage, here = self.estimates.coverage, self._moment.here
         if coverage is None or server.name not in coverage.servers:
             return
-        here = coverage.at(server.name, self._moment.here)
-        if here is None or here is not self._probed_at.get(server.name):
-            place = coverage.asked(server.name, self._moment.here, answered=False)
+        known = coverage.at(server.name, here)
+        if once and known is not None and known is self._probed_at.get(server.name):
+            return
+        place = coverage.asked(server.name, here, answered=answered)
+        if once:
             self._probed_at[server.name] = place
             self._moment.changed = True
-            self._measured(server.name, place)
-
-    def _asked(self, server: Server, *, answered: bool) -> None:
-        coverage = self.estimates.coverage
-        if coverage is not None and server.name in coverage.servers:
-            self._measured(server.name, coverage.asked(server.name, self._moment.here, answered=answered))
+        self._moment.effects.append(schema.PlaceMeasured(server=server.name, place=MeasuredRecord.of(place)))
 
     def _reached(self, event: events.Reached) -> None:
         """Record the delay of the call at its place; a failed call counts the drone's own computing too."""
@@ -394,10 +387,7 @@ class Selection(Part):
         if event.less:
             came_to_s = self.estimates.as_whole_s(event.server, event.operation, came_to_s)
         place.note(event.operation, came_to_s)
-        self._measured(event.server, place)
-
-    def _measured(self, server: str, place: MeasuredPlace) -> None:
-        self._moment.do(schema.PlaceMeasured(server=server, place=MeasuredRecord.of(place)))
+        self._moment.effects.append(schema.PlaceMeasured(server=event.server, place=MeasuredRecord.of(place)))
 
     # --- which server now? ----------------------------------------------------------------------------------
 
@@ -419,19 +409,17 @@ class Selection(Part):
         radios, with_second = self._radios, self._settings.with_second
         if with_second:
             radios.prefer(chosen, choice.why)
-        if chosen is not radios.in_use:
-            radios.use(chosen, choice.why, keep=self._is_worth_keeping(radios.in_use))
+        if (current := radios.in_use) is not chosen:
+            mean_call_s = self.estimates.mean_call_s
+            keep = (  # the server in use, which saves time until the chosen one is READY
+                current is not None
+                and mean_call_s(current.name) < mean_call_s()
+                and self.planning.is_worth_a_slot(current)
+            )
+            radios.use(chosen, choice.why, keep=keep)
         elif choice.coming is not None and self.servers[choice.coming.server].in_range:
             radios.prepare(self.servers[choice.coming.server], "comes next")
         elif with_second and len(radios.selected) == 1:
             beside = self.planning.beside(chosen)
             if beside is not None:
                 radios.prepare(beside, f"for calls that {chosen.name} answers late")
-
-    def _is_worth_keeping(self, server: Server | None) -> bool:
-        """Whether the server in use still saves time, so that it serves until the next one is READY."""
-        return (
-            server is not None
-            and self.estimates.mean_call_s(server.name) < self.estimates.mean_call_s()
-            and self.planning.is_worth_a_slot(server)
-        )

@@ -20,7 +20,6 @@ from upwash.core.planning.backlog import ServerBelief
 from upwash.core.planning.forecast import Forecast, make_forecast, rest_of_check_s
 from upwash.core.planning.legs import Leg, left_m
 from upwash.core.planning.mission_model import ExpectedCall, MissionModel
-from upwash.core.planning.schedule import ComingCall
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import Choice, Coming, Decision, Local, Option, Remote, Situation, Wait
 from upwash.core.selection.call_forecast import CallForecast, CallPlace
@@ -62,7 +61,7 @@ class PrewarmNotifier(Part):
             self.due_s = due_s
             return
         self._held_until_s[name] = now_s + coming.in_s + _HOLD_S
-        self._moment.do(Prepare(current.name, current.check, name, coming.in_s, _HOLD_S))
+        self._moment.effects.append(Prepare(current.name, current.check, name, coming.in_s, _HOLD_S))
 
 
 class ServerPlanning(Part):
@@ -203,7 +202,9 @@ class ServerPlanning(Part):
                 position=self._moment.here,
             )
         )
-        if choice.server is not None or current is None or not self._is_worth_trials(current):
+        if choice.server is not None or current is None or not self._recovery.in_doubt(current.name):
+            return choice
+        if not current.in_range or current.state is not State.READY or not self.is_worth_a_slot(current):
             return choice
         return Choice(current.name, "slow lately, and no other is faster")
 
@@ -278,10 +279,6 @@ class ServerPlanning(Part):
         local_s = self._estimates.mean_call_s()
         return local_s - self._estimates.mean_call_s(server.name) > self._settings.gain_slot * local_s
 
-    def _is_worth_trials(self, server: Server) -> bool:
-        is_ready = server.in_range and server.state is State.READY
-        return is_ready and self._recovery.in_doubt(server.name) and self.is_worth_a_slot(server)
-
     def _forecast(self) -> Forecast:
         now_s, here = self._now_s, self._moment.here
         backlog = Counter(call.operation for call in self._lanes.line if not call.needs_server)
@@ -297,17 +294,17 @@ class ServerPlanning(Part):
             banned_s=dict(self._banned()),
             idle_s=self._settings.idle_s,
         )
+        calls = list(forecast.calls)
         if self._lanes.has_line and any(map(self._lanes.usual_wait_s, forecast.checks)):
-            forecast = replace(forecast, calls=[self._with_waits(call) for call in forecast.calls])
-        calls = [call.times(count) for call, count in zip(forecast.calls, backlog.values(), strict=False)]
-        return replace(forecast, calls=[*calls, *forecast.calls[len(calls) :]]) if calls else forecast
-
-    def _with_waits(self, call: ComingCall) -> ComingCall:
-        offers = [
-            structs.replace(offer, call_s=self._with_wait_s(offer.server, offer.call_s, call.local_s))
-            for offer in call.offers
-        ]
-        return structs.replace(call, offers=offers)
+            for number, call in enumerate(calls):
+                offers = [
+                    structs.replace(offer, call_s=self._with_wait_s(offer.server, offer.call_s, call.local_s))
+                    for offer in call.offers
+                ]
+                calls[number] = structs.replace(call, offers=offers)
+        for number, count in enumerate(backlog.values()):
+            calls[number] = calls[number].times(count)
+        return replace(forecast, calls=calls)
 
     def _with_wait_s(self, server: str, call_s: float, local_s: float) -> float:
         """The seconds of a call there with the usual wait for others; a server that gains still gains."""

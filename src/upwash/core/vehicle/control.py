@@ -242,10 +242,7 @@ class Latch:
         """Take in a heartbeat (laws 3 and 4)."""
         before, self._reported = self._reported, report
         if self.control.is_ours:
-            self._compare_arming(report, now_s)
-            # What has lost its motors may go back to the mode that it begins with: no pilot's switch.
-            if self.control.is_ours or report.failsafe:
-                self._compare_mode(report, now_s)
+            self._compare(report, now_s)
         elif before is not None:
             self._compare_lost(before, report, now_s)
 
@@ -265,15 +262,17 @@ class Latch:
             return
         self._take(ControlChange.RESTARTED, why, now_s)
 
-    def _compare_arming(self, report: Heartbeat, now_s: float) -> None:
+    def _compare(self, report: Heartbeat, now_s: float) -> None:
         if report.armed == self._armed_ahead:
             self._armed, self._armed_ahead = report.armed, None
             if not report.armed:  # it stands, and may go back to the mode that it had before the flight
                 self._mode, self._modes_ahead, self._targets = None, (), Targets()
         elif report.armed != self._armed:
             self._take(*_armed_or_disarmed(report), now_s)
-
-    def _compare_mode(self, report: Heartbeat, now_s: float) -> None:
+            if (
+                not report.failsafe
+            ):  # without motors it may go back to the mode that it begins with: no switch
+                return
         if report.mode in self._modes_ahead:
             past = self._modes_ahead.index(report.mode) + 1
             self._mode, self._modes_ahead = report.mode, self._modes_ahead[past:]

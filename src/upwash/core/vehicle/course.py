@@ -75,13 +75,12 @@ class SetpointCourse:
         wanted, change_m_s2 = self._wanted(step_s)
         before, self.velocity = self.velocity, _towards(self.velocity, wanted, change_m_s2 * step_s)
         self.setpoint_acceleration = _times(_sum(self.velocity, _times(before, -1)), 1 / step_s)
-        here, flies = self.position, self.velocity
+        here, flies, target = self.position, self.velocity, self._target
         moved = Position(
             here.east_m + flies.east_m_s * step_s,
             here.north_m + flies.north_m_s * step_s,
             here.altitude_m + flies.up_m_s * step_s,
         )
-        target = self._target
         if target is not None and distance_m(moved, target) < _AT_TARGET_M + flies.speed_m_s * step_s / 2:
             moved, self.velocity, self.setpoint_acceleration = target, Velocity(), Velocity()
         self.position = moved

@@ -20,13 +20,11 @@ from dataclasses import dataclass, field
 from msgspec import Struct
 
 from upwash.core.geo import Position, Velocity, ahead, ground_way
-from upwash.core.vehicle.return_place import ReturnPlace
 from upwash.core.vehicle.way_home import (
     LOOK_S,
     STILL,
     UNKNOWN,
     EnergyFacts,
-    WayHome,
     descent_s,
     in_words,
     time_home_s,
@@ -107,16 +105,14 @@ class Margin(Struct, frozen=True):
         home = f"{self.home_s:.0f} s to home need {self.needed_percent:.0f} %"
         if self.rate_percent_s is None:
             home = f"{self.home_s:.0f} s to home need what is not known yet"
-        said = f"{home}, {self._floor}, {self.left_percent:.0f} % is left{in_battery(self.battery)}"
-        return f"{said} ({in_words(self.guessed)})" if self.guessed else said
-
-    @property
-    def _floor(self) -> str:
         if self.floor_percent == self._reserve_s_percent:
-            return f"{self.reserve.seconds:g} s of reserve {self._reserve_s_percent:.0f} %"
-        if self.floor_percent == self.reserve.percent:
-            return f"the reserve is {self.reserve.percent:g} %"
-        return f"the vehicle's own low-battery stage is at {self.low_percent:g} %"
+            floor = f"{self.reserve.seconds:g} s of reserve {self._reserve_s_percent:.0f} %"
+        elif self.floor_percent == self.reserve.percent:
+            floor = f"the reserve is {self.reserve.percent:g} %"
+        else:
+            floor = f"the vehicle's own low-battery stage is at {self.low_percent:g} %"
+        said = f"{home}, {floor}, {self.left_percent:.0f} % is left{in_battery(self.battery)}"
+        return f"{said} ({in_words(self.guessed)})" if self.guessed else said
 
 
 class Consumption:
@@ -210,14 +206,11 @@ class Wind:
             return max(reported_m_s, *(short_m_s for _, _, short_m_s in self._slow), 0.0)
         way /= abs(way)
         slow_m_s = [short_m_s * (slow * way.conjugate()).real for _, slow, short_m_s in self._slow]
-        return max(0.0, *slow_m_s, self._reported_against_m_s(way, speed_m_s))
-
-    def _reported_against_m_s(self, way: complex, speed_m_s: float) -> float:
-        if self._reported is None:
-            return 0.0
-        blows = complex(self._reported.east_m_s, self._reported.north_m_s) * way.conjugate()
-        ahead_m_s = math.sqrt(max(0.0, speed_m_s**2 - blows.imag**2))  # with the nose into the wind
-        return speed_m_s - ahead_m_s + max(0.0, -blows.real)
+        if self._reported is not None:
+            blows = complex(self._reported.east_m_s, self._reported.north_m_s) * way.conjugate()
+            ahead_m_s = math.sqrt(max(0.0, speed_m_s**2 - blows.imag**2))  # with the nose into the wind
+            slow_m_s.append(speed_m_s - ahead_m_s + max(0.0, -blows.real))
+        return max(0.0, *slow_m_s)
 
 
 def in_battery(number: int | None) -> str:
@@ -288,9 +281,8 @@ class FlightEnergy:
     def standing_margin(self, charges_percent: Mapping[int, float], facts: EnergyFacts) -> Margin | None:
         """The margin before the flight; None without a charge."""
         rate = Consumption(self.endurance_s).rate_percent_s
-        return least_margin(
-            {number: (percent, rate) for number, percent in charges_percent.items()}, facts, self.reserve
-        )
+        left = {number: (percent, rate) for number, percent in charges_percent.items()}
+        return least_margin(left, facts, self.reserve)
 
     def _down_s(self, report: FlightReport, home: Position, facts: EnergyFacts) -> float:
         """Seconds to the ground; a return ends at the farther of the places chosen here and where it could stop."""
@@ -300,14 +292,10 @@ class FlightEnergy:
         velocity = report.velocity or STILL
         stopping_s = LOOK_S + velocity.speed_m_s / (facts.way_home or UNKNOWN).acceleration_m_s2
         beyond = ahead(report.position, velocity, stopping_s)
-        places = {facts.returns_to(here, otherwise=home) for here in (report.position, beyond)}
-        return max(self._return_s(report, place, facts.way_to(place)) for place in places)
-
-    def _return_s(self, report: FlightReport, place: ReturnPlace, way: WayHome) -> float:
-        return time_home_s(
-            report.position,
-            place.position,
-            way,
-            against_m_s=self._wind.against_m_s(report.position, place.position, way.speed_m_s),
-            velocity=report.velocity or STILL,
-        )
+        longest_s = 0.0
+        for place in {facts.returns_to(here, otherwise=home) for here in (report.position, beyond)}:
+            way, end = facts.way_to(place), place.position
+            against_m_s = self._wind.against_m_s(report.position, end, way.speed_m_s)
+            home_s = time_home_s(report.position, end, way, against_m_s=against_m_s, velocity=velocity)
+            longest_s = max(longest_s, home_s)
+        return longest_s

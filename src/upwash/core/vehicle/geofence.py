@@ -85,9 +85,14 @@ class Fence(Struct, frozen=True):
         """Whether the fence allows the straight leg from `start` to `end`."""
         if isinstance(self.area, Circle) and self.inclusion:
             return self.area.contains(start) and self.area.contains(end)
-        if self.inclusion:
-            return _contain_leg(self._areas, start, end)
-        return not any(_meets_leg(area, start, end) for area in self._areas)
+        areas = self._areas
+        if not self.inclusion:
+            return not any(_meets_leg(area, start, end) for area in areas)
+        # Between two crossings of borders one place stands for all.
+        shares = sorted({0.0, 1.0, *(share for area in areas for share in _met_at(area, start, end))})
+        halfway = ((before + after) / 2 for before, after in itertools.pairwise(shares))
+        places = (part_way(start, end, share) for share in (0.0, *halfway, 1.0))
+        return all(self.area.contains(place) for place in places)
 
     def clearance_m(self, position: Position) -> float:
         """Metres from an allowed position to the nearest forbidden one; a lower bound in joined areas."""
@@ -126,14 +131,6 @@ def breached_by_way(fences: Sequence[Fence], places: Sequence[Position]) -> Fenc
     """The first fence that does not allow one of the straight legs from place to place; None if all do."""
     legs = itertools.pairwise(places) if fences else ()
     return next((fence for leg in legs if (fence := breached_by_leg(fences, *leg)) is not None), None)
-
-
-def _contain_leg(areas: Sequence[Polygon | Circle], start: Position, end: Position) -> bool:
-    """Whether the areas together contain the leg: between two crossings of borders one place stands for all."""
-    shares = sorted({0.0, 1.0, *(share for area in areas for share in _met_at(area, start, end))})
-    halfway = ((before + after) / 2 for before, after in itertools.pairwise(shares))
-    places = (part_way(start, end, share) for share in (0.0, *halfway, 1.0))
-    return all(any(area.contains(place) for area in areas) for place in places)
 
 
 def _met_at(area: Polygon | Circle, start: Position, end: Position) -> Iterator[float]:
