@@ -108,7 +108,11 @@ class Catalogue:
         outline = [complex(*corner) for corner in corners or ()]
         self._boxes += len(sightings)
         self._area_m2 += _area_m2(outline) if outline else _UNSEEN_M2
-        near = [self._near(photo, sighting) for sighting in sightings]
+        near = []  # the entries that each sighting may be of
+        for sighting in sightings:
+            reach_m = _GATE * (math.sqrt(2 * _variance_m2(sighting)) + _JITTER_M)
+            within = self._within(sighting.label, sighting.at, reach_m)
+            near.append([entry for entry in within if photo not in entry.sightings])
         spread_m = math.sqrt(sum(_variance_m2(sighting) for sighting in sightings) / len(sightings))
         shift, pairs = 0j, dict[int, Entry]()
         if any(near):
@@ -198,12 +202,6 @@ class Catalogue:
             if value > best[0]:
                 best = value, shift, pairs
         return best[1], best[2]
-
-    def _near(self, photo: int, sighting: Sighting) -> list[Entry]:
-        """The entries that the sighting may be of."""
-        reach_m = _GATE * (math.sqrt(2 * _variance_m2(sighting)) + _JITTER_M)
-        near = self._within(sighting.label, sighting.at, reach_m)
-        return [entry for entry in near if photo not in entry.sightings]
 
     def _in_view(self, photo: int, corners: Sequence[complex]) -> list[Entry]:
         """The entries well within the photo's corners."""

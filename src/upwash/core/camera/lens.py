@@ -58,22 +58,19 @@ class Lens(msgspec.Struct, frozen=True, omit_defaults=True):
         seen_y = (y_px - self.centre[1] * size_px[1]) / focal_px
         if not self.distortion:
             return seen_x, seen_y
+        k1, k2, p1, p2, k3 = (*self.distortion, *(0.0,) * (5 - len(self.distortion)))
         x, y = seen_x, seen_y
         for _ in range(_STEPS):
-            scale, shift_x, shift_y = self._bent(x, y)
+            square = x * x + y * y
+            scale = 1 + square * (k1 + square * (k2 + square * k3))
             if scale <= 0:
                 return None
+            shift_x = 2 * p1 * x * y + p2 * (square + 2 * x * x)
+            shift_y = 2 * p2 * x * y + p1 * (square + 2 * y * y)
             x, y, last_x, last_y = (seen_x - shift_x) / scale, (seen_y - shift_y) / scale, x, y
             if abs(x - last_x) + abs(y - last_y) < _CLOSE:
                 return x, y
         return None
-
-    def _bent(self, x: float, y: float) -> tuple[float, float, float]:
-        """The radial factor and the tangential shift of a direction."""
-        k1, k2, p1, p2, k3 = (*self.distortion, *(0.0,) * (5 - len(self.distortion)))
-        square = x * x + y * y
-        scale = 1 + square * (k1 + square * (k2 + square * k3))
-        return scale, 2 * p1 * x * y + p2 * (square + 2 * x * x), 2 * p2 * x * y + p1 * (square + 2 * y * y)
 
     @property
     def axes(self) -> tuple[Vector, Vector, Vector]:

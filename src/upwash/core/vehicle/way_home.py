@@ -190,7 +190,14 @@ class WayDown:
         if self._above_home_s is not None:
             rests_s = max(0.0, way.rests_s - (now_s - self._above_home_s))
             return rests_s + self._sinking_s(self._highest_m, now_s, rests=True)
-        return self._to_home_s(position) + way.rests_s + descent_s(self._top_m, way)
+        left_m = ground_distance_m(position, self._home)
+        flown_m, rise_m = self._leg.length_m - left_m, max(0.0, self._top_m - position.altitude_m)
+        has_left = flown_m > _AT_HOME_M  # it may climb the rest on its way
+        climbs_s = 0.0 if has_left else Leg(rise_m, way.climb_m_s, way.acceleration_m_s2).duration_s
+        whole_m = max(left_m, self._leg.length_m)  # it may still fly away
+        whole_s = Leg(whole_m, way.speed_m_s, way.acceleration_m_s2).duration_s
+        home_s = climbs_s + whole_s - self._leg.reached_s(flown_m)
+        return home_s + way.rests_s + descent_s(self._top_m, way)
 
     def _take(self, position: Position, now_s: float) -> None:
         if ground_distance_m(position, self._home) > _AT_HOME_M:
@@ -209,17 +216,6 @@ class WayDown:
             self._waited_from_s = now_s
         waited_s = 0.0 if self._waited_from_s is None else now_s - self._waited_from_s
         return max(0.0, _at_most_waited(way.waits_s) - waited_s)
-
-    def _to_home_s(self, position: Position) -> float:
-        way, leg = self._way, self._leg
-        left_m = ground_distance_m(position, self._home)
-        flown_m = leg.length_m - left_m
-        rise_m = max(0.0, self._top_m - position.altitude_m)
-        has_left = flown_m > _AT_HOME_M  # it may climb the rest on its way
-        climbs_s = 0.0 if has_left else Leg(rise_m, way.climb_m_s, way.acceleration_m_s2).duration_s
-        whole_m = max(left_m, leg.length_m)  # it may still fly away
-        whole = Leg(whole_m, way.speed_m_s, way.acceleration_m_s2)
-        return climbs_s + whole.duration_s - leg.reached_s(flown_m)
 
     def _sinking_s(self, altitude_m: float, now_s: float, *, rests: bool) -> float:
         slowly_m = min(max(altitude_m, 0.0), self._way.slowly_below_m)
