@@ -78,7 +78,8 @@ class MeasuredSlots:
         if share is None:
             guess = f"{service} is not measured yet, and taken to be busy for {100 * _SHARE:.0f} % of a drone's time"
             return guess if service else "no service is offered"
-        busy = f"a drone keeps {service} busy for {_percent(share)} of its time"
+        percent = f"{100 * share:.1f} %" if share < _FEW else f"{100 * share:.0f} %"
+        busy = f"a drone keeps {service} busy for {percent} of its time"
         is_capped = self._lanes[service] / share > self._count_of(service) + 1
         return f"{busy}, and no more drones are measured at once" if is_capped else busy
 
@@ -96,7 +97,3 @@ class MeasuredSlots:
             calls.share for calls in self._calls.get(service, {}).values() if calls.count >= _LEAST_CALLS
         ]
         return max(sum(shares) / len(shares), 1e-3) if shares else None
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %" if share < _FEW else f"{100 * share:.0f} %"

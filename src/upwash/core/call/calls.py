@@ -208,13 +208,22 @@ class Calls:
         self._step()
 
     def _step(self) -> None:
-        """Have the next call in line decided, if a place is free for one."""
+        """Have the next call in line decided, if a place is free for one.
+
+        Raises PolicyDefect if the policy uses no lane for too long.
+        """
         if self._deciding is not None or not self.lanes.line:
             self._unused_since_s = None
             return
         following = self.placement.next_in_line()
         if following is None:
-            self._watch_unused()
+            if not self.lanes.are_free or all(call.needs_server for call in self.lanes.line):
+                self._unused_since_s = None
+            elif self._unused_since_s is None:
+                self._unused_since_s = self.now_s
+            elif self.now_s >= self._unused_since_s + LONGEST_UNUSED_S:
+                policy = self.selection.policy.name
+                raise PolicyDefect(f"policy {policy}: place_in_line used no lane for {LONGEST_UNUSED_S:g} s")
             return
         place, where = following
         assert isinstance(place, _Waiting)  # noqa: S101 - nothing else enters
@@ -223,16 +232,6 @@ class Calls:
         self._deciding, self._unused_since_s = place.call, None
         drone_is_busy = not self.lanes.is_free(ON_DRONE)
         place.call.decide(on_drone=where == "drone", drone_is_busy=drone_is_busy)
-
-    def _watch_unused(self) -> None:
-        """Raise PolicyDefect if the policy uses no lane for too long."""
-        if not self.lanes.are_free or all(call.needs_server for call in self.lanes.line):
-            self._unused_since_s = None
-        elif self._unused_since_s is None:
-            self._unused_since_s = self.now_s
-        elif self.now_s >= self._unused_since_s + LONGEST_UNUSED_S:
-            policy = self.selection.policy.name
-            raise PolicyDefect(f"policy {policy}: place_in_line used no lane for {LONGEST_UNUSED_S:g} s")
 
     def take(self, call: Call, decision: Decision | None) -> None:
         """Hold the lane of the decided place, of the drone for None, until the call leaves it."""
@@ -336,19 +335,17 @@ class Calls:
     def begin_own(self, own: Computing) -> None:
         """Compute on the drone, behind the earlier computations of the service."""
         self.lanes.hold(own, ON_DRONE, self.now_s + (self.estimates.local_s(own.operation) or 0.0))
-        line = self._own[own.operation.service]
-        line.append(own)
-        if line[0] is own:
-            self._begin_computing(own)
-
-    def _begin_computing(self, own: Computing) -> None:
-        own.began_s = self.now_s
-        self.do(steps.Compute(own, hangs_after_s(self.estimates.local_s(own.operation))))
+        self._own[own.operation.service].append(own)
+        self._compute_first(own.operation.service)
 
     def end_own(self, own: Computing) -> None:
         """Note that the drone has computed, or will not; the next computation of the service begins."""
-        line = self._own[own.operation.service]
-        line.remove(own)
-        if line and line[0].began_s is None:
-            self._begin_computing(line[0])
+        self._own[own.operation.service].remove(own)
+        self._compute_first(own.operation.service)
         self.release(own)
+
+    def _compute_first(self, service: str) -> None:
+        line = self._own[service]
+        if line and line[0].began_s is None:
+            line[0].began_s = self.now_s
+            self.do(steps.Compute(line[0], hangs_after_s(self.estimates.local_s(line[0].operation))))

@@ -87,14 +87,12 @@ class Ranges:
         due = []
         while self._due and self._due[0][0] <= self._travelled_m:
             due.append(heapq.heappop(self._due)[1])
-        return [name for name in due if self._look(name, position)]
-
-    def _look(self, name: str, position: Position) -> bool:
-        """Whether the border of the area was crossed since the last test."""
-        area = self._areas[name]
-        border_m = to_border_m(area, position) if isinstance(area, Circle) else math.inf
-        heapq.heappush(self._due, (self._travelled_m + border_m - _ROUNDING_M, name))
-        is_inside, was_inside = area.contains(position), name in self._inside
-        if is_inside != was_inside:
-            self._inside ^= {name}
-        return is_inside != was_inside
+        crossed = []
+        for name in due:
+            area = self._areas[name]
+            border_m = to_border_m(area, position) if isinstance(area, Circle) else math.inf
+            heapq.heappush(self._due, (self._travelled_m + border_m - _ROUNDING_M, name))
+            if area.contains(position) != (name in self._inside):
+                self._inside ^= {name}
+                crossed.append(name)
+        return crossed

@@ -127,13 +127,11 @@ class MissionModel:
         self._is_back = False  # or on the way back: the stop teaches nothing
         self._free_s = 0.0  # since when nothing is known to go on, or until when the call under way goes on
         self._entries: dict[tuple[Position, Position], Mapping[str, float]] = {}
-        self._flies_as(beliefs.pace)
+        self.begun(None)
 
     def begun(self, vehicle: Pace | None) -> None:
         """Begin the mission with a vehicle of that pace; None if unknown."""
-        self._flies_as(self._beliefs.pace_of(vehicle))
-
-    def _flies_as(self, pace: Pace) -> None:
+        pace = self._beliefs.pace_of(vehicle)
         self._accelerations_m_s2 = deque([pace.acceleration_m_s2], maxlen=WINDOW_LENGTH)
         self._settling_s = pace.settling_s
         self._ways: dict[tuple[int, float], _Way] = {}  # by waypoint and ground speed, at the present agility

@@ -43,9 +43,7 @@ class Lanes:
         self._queue_until_s: dict[str, float] = {}  # of other drones' calls, by place
         self._waits_s = defaultdict[str, deque[float]](lambda: deque([0.0] * _LATEST, _LATEST))
         self._held: dict[object, tuple[str, float]] = {}
-        self._urgent: list[InLine] = []
-        self._of_servers: list[InLine] = []
-        self._others: list[InLine] = []
+        self._line: list[InLine] = []  # the oldest first
 
     def hold(self, holder: object, place: str, until_s: float) -> None:
         """Note that a lane is held, and when that is expected to end; a holder has one lane at a time."""
@@ -89,18 +87,14 @@ class Lanes:
     @property
     def line(self) -> Sequence[InLine]:
         """The calls that wait, the first in line first."""
-        step = -1 if self.newest_first else 1
-        return [*self._urgent, *self._of_servers[::step], *self._others[::step]]
+        urgent = [call for call in self._line if call.urgent]
+        others = [call for call in self._line if not call.urgent][:: -1 if self.newest_first else 1]
+        return [*urgent, *sorted(others, key=lambda call: not call.needs_server)]
 
     def enter(self, call: InLine) -> None:
         """Put the call behind those of its group that were made before it."""
-        bisect.insort(self._group(call), call, key=lambda call: call.since_s)
+        bisect.insort(self._line, call, key=lambda call: call.since_s)
 
     def leave(self, call: InLine) -> None:
         """Take the call out of the line."""
-        self._group(call).remove(call)
-
-    def _group(self, call: InLine) -> list[InLine]:
-        if call.urgent:
-            return self._urgent
-        return self._of_servers if call.needs_server else self._others
+        self._line.remove(call)

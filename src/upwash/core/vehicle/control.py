@@ -244,7 +244,22 @@ class Latch:
         if self.control.is_ours:
             self._compare(report, now_s)
         elif before is not None:
-            self._compare_lost(before, report, now_s)
+            if report.armed and not before.armed:
+                self._take(*_armed_or_disarmed(report), now_s)
+            lost = self.control
+            changed = (
+                report.armed and report.mode != before.mode
+            )  # disarmed it may go back to an earlier mode
+            if changed or (report.failsafe and report.failsafe != before.failsafe):  # the cause may come late
+                self._take_mode(report, now_s, "")
+            elif (
+                report.remote_moved
+                and report.mode != self._mode
+                and lost.owner is Owner.GROUND_STATION
+                and now_s - lost.since_s <= _KNOWN_LATE_S
+            ):
+                why = f"the vehicle is in mode {report.mode} (the remote control moved)"
+                self._take(ControlChange.REMOTE_MOVED, why, now_s)
 
     def report_target(self, place: Position | None, now_s: float) -> None:
         """Take in the reported target (laws 3 and 4), while the vehicle is in the program's own mode.
@@ -279,18 +294,6 @@ class Latch:
         elif self._mode is not None and report.mode != self._mode:
             commanded = self._modes_ahead[-1] if self._modes_ahead else self._mode
             self._take_mode(report, now_s, f", {commanded} was commanded")
-
-    def _compare_lost(self, before: Heartbeat, report: Heartbeat, now_s: float) -> None:
-        if report.armed and not before.armed:
-            self._take(*_armed_or_disarmed(report), now_s)
-        changed = report.armed and report.mode != before.mode  # disarmed it may go back to an earlier mode
-        if changed or (report.failsafe and report.failsafe != before.failsafe):  # the cause may come late
-            self._take_mode(report, now_s, "")
-        elif report.remote_moved and report.mode != self._mode:
-            lost = self.control
-            if lost.owner is Owner.GROUND_STATION and now_s - lost.since_s <= _KNOWN_LATE_S:
-                why = f"the vehicle is in mode {report.mode} (the remote control moved)"
-                self._take(ControlChange.REMOTE_MOVED, why, now_s)
 
     def _take_mode(self, report: Heartbeat, now_s: float, instead_of: str) -> None:
         if report.failsafe:

@@ -73,7 +73,11 @@ class SetpointCourse:
 
     def _move(self, step_s: float) -> None:
         wanted, change_m_s2 = self._wanted(step_s)
-        before, self.velocity = self.velocity, _towards(self.velocity, wanted, change_m_s2 * step_s)
+        before, most_m_s = self.velocity, change_m_s2 * step_s
+        missing = _sum(wanted, _times(before, -1))
+        self.velocity = wanted
+        if missing.speed_m_s > most_m_s:
+            self.velocity = _sum(before, _times(missing, most_m_s / missing.speed_m_s))
         self.setpoint_acceleration = _times(_sum(self.velocity, _times(before, -1)), 1 / step_s)
         here, flies, target = self.position, self.velocity, self._target
         moved = Position(
@@ -115,11 +119,3 @@ def _times(velocity: Velocity, factor: float) -> Velocity:
 
 def _sum(a: Velocity, b: Velocity) -> Velocity:
     return Velocity(a.east_m_s + b.east_m_s, a.north_m_s + b.north_m_s, a.up_m_s + b.up_m_s)
-
-
-def _towards(velocity: Velocity, wanted: Velocity, change_m_s: float) -> Velocity:
-    """The velocity, changed towards the wanted one by `change_m_s` at most."""
-    missing = _sum(wanted, _times(velocity, -1))
-    if missing.speed_m_s <= change_m_s:
-        return wanted
-    return _sum(velocity, _times(missing, change_m_s / missing.speed_m_s))

@@ -153,16 +153,13 @@ class Consumption:
         """Percent per second: the higher of the whole flight's rate and the last 3 minutes' rate; None if unknown."""
         rates = [self._least_percent_s]
         if self._first is not None:
-            rates += [self._most_since(begun) for begun in (self._first, self._recent[0])]
-            if self._recent[-1][0] - self._first[0] < _WINDOW_S:
+            now_s, percent = self._recent[-1]
+            for begun_s, before_percent in (self._first, self._recent[0]):
+                if (flown_s := now_s - begun_s) >= _LEAST_S:  # it may have lost one step of the report more
+                    rates.append(max(before_percent - percent + _STEP_PERCENT, 0.0) / flown_s)
+            if now_s - self._first[0] < _WINDOW_S:
                 rates.append(self._before_swap_percent_s)
         return max(rates) or None
-
-    def _most_since(self, begun: tuple[float, float]) -> float:
-        """The upper bound of the loss per second: the reported loss, and one step of the report more."""
-        (begun_s, before_percent), (now_s, percent) = begun, self._recent[-1]
-        flown_s = now_s - begun_s
-        return max(before_percent - percent + _STEP_PERCENT, 0.0) / flown_s if flown_s >= _LEAST_S else 0.0
 
 
 class Wind:

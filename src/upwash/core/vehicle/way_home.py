@@ -182,7 +182,10 @@ class WayDown:
         """Seconds to the ground, by a report; times never go back."""
         way = self._way
         self._highest_m = max(self._highest_m, position.altitude_m)
-        self._take(position, now_s)
+        if ground_distance_m(position, self._home) <= _AT_HOME_M:
+            self._sinks |= position.altitude_m < self._highest_m - _SUNK_M
+            if self._above_home_s is None and self._highest_m >= self._top_m - _SUNK_M:
+                self._above_home_s = now_s
         if self._sinks:
             waits_s = self._waits_s(position, now_s)
             rests = waits_s > 0 and self._waited_from_s is not None
@@ -198,14 +201,6 @@ class WayDown:
         whole_s = Leg(whole_m, way.speed_m_s, way.acceleration_m_s2).duration_s
         home_s = climbs_s + whole_s - self._leg.reached_s(flown_m)
         return home_s + way.rests_s + descent_s(self._top_m, way)
-
-    def _take(self, position: Position, now_s: float) -> None:
-        if ground_distance_m(position, self._home) > _AT_HOME_M:
-            return
-        self._sinks |= position.altitude_m < self._highest_m - _SUNK_M
-        has_climbed = self._highest_m >= self._top_m - _SUNK_M
-        if self._above_home_s is None and has_climbed:
-            self._above_home_s = now_s
 
     def _waits_s(self, position: Position, now_s: float) -> float:
         """The seconds left of the wait on its way down; 0 for a landing below it."""
