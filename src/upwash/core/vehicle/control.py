@@ -24,49 +24,6 @@ from upwash.core.geo import Position, distance_m
 from upwash.errors import AutopilotOverruled
 
 _SAME_PLACE_M = 1.0  # a vehicle keeps a target in metres from its own origin, and rounds it
-
-
-class Targets:
-    """Compares reported targets with commands: a report must agree with the last obeyed command, or the one after it.
-
-    Altitudes of commands and of reports count from the same place. Before the first command, the first report is the
-    target of an earlier program, and no difference.
-    """
-
-    def __init__(self) -> None:
-        # The last command, and the one on its way: () without one, None for a take-off, which reports no target.
-        self._obeyed: tuple[Position | None, ...] = ()
-        self._pending: tuple[Position | None, ...] = ()
-
-    def send(self, place: Position | None) -> None:
-        """Note that a command to `place` is about to be sent; None for a take-off, which has no target."""
-        self._pending = (place,)
-
-    def settle(self, *, obeyed: bool) -> None:
-        """Note whether the vehicle obeyed the last command or refused it."""
-        if obeyed:
-            self._obeyed = self._pending or self._obeyed
-        self._pending = ()
-
-    def difference(self, reported: Position | None) -> str:
-        """How a reported target, None for a velocity, differs from the commands; "" if it does not."""
-        if not self._obeyed:
-            if reported is not None and not self._pending:
-                self._obeyed = (reported,)
-            return ""
-        if reported is None:
-            return "" if self._pending else "it follows a velocity that the program did not command"
-        expected = (*self._obeyed, *self._pending)
-        if any(place is not None and distance_m(place, reported) <= _SAME_PLACE_M for place in expected):
-            return ""
-        there = f"{reported.east_m:.0f} m east, {reported.north_m:.0f} m north"
-        (obeyed,) = self._obeyed
-        if obeyed is None:
-            return f"it was sent to {there}, which the program did not command"
-        apart_m = distance_m(obeyed, reported)
-        return f"it was sent to {there}, {apart_m:.0f} m from where the program sent it"
-
-
 _KNOWN_LATE_S = 1.0  # after the mode, that the remote control moved
 
 
@@ -189,7 +146,9 @@ class Latch:
         self._modes_ahead: tuple[str, ...] = ()  # those that the command on its way leads to, in order
         self._armed = False
         self._armed_ahead: bool | None = None
-        self._targets = Targets()
+        # Where the last obeyed command led, and the one on its way: () without one, None for a take-off.
+        self._obeyed: tuple[Position | None, ...] = ()
+        self._pending: tuple[Position | None, ...] = ()
 
     def claim(self, now_s: float, *, own_mode: str, resumes: bool, ordered_mode: str = "") -> None:
         """Claim the vehicle for the program, if law 2 allows it; `control` has the result, and why.
@@ -228,11 +187,13 @@ class Latch:
 
     def expect_target(self, place: Position | None) -> None:
         """Note that a command to this place is about to be sent; None for a take-off, straight up."""
-        self._targets.send(place)
+        self._pending = (place,)
 
     def settle_target(self, *, obeyed: bool) -> None:
         """Note whether the vehicle obeyed or refused the last command to a place."""
-        self._targets.settle(obeyed=obeyed)
+        if obeyed:
+            self._obeyed = self._pending or self._obeyed
+        self._pending = ()
 
     def withdraw(self) -> None:
         """Note that the command on its way was refused, and changes neither mode nor arming."""
@@ -264,11 +225,12 @@ class Latch:
     def report_target(self, place: Position | None, now_s: float) -> None:
         """Take in the reported target (laws 3 and 4), while the vehicle is in the program's own mode.
 
-        None: the vehicle follows a velocity instead of a place.
+        None: the vehicle follows a velocity instead of a place. Altitudes of commands and of reports count from the
+        same place. Before the first command, the first report is the target of an earlier program, and no difference.
         """
         if not self.control.is_ours or not self._armed or self._modes_ahead:
             return
-        if difference := self._targets.difference(place):
+        if difference := self._difference(place):
             self._take(ControlChange.TARGET_CHANGED, difference, now_s)
 
     def report_restart(self, why: str, now_s: float) -> None:
@@ -281,7 +243,7 @@ class Latch:
         if report.armed == self._armed_ahead:
             self._armed, self._armed_ahead = report.armed, None
             if not report.armed:  # it stands, and may go back to the mode that it had before the flight
-                self._mode, self._modes_ahead, self._targets = None, (), Targets()
+                self._mode, self._modes_ahead, self._obeyed, self._pending = None, (), (), ()
         elif report.armed != self._armed:
             self._take(*_armed_or_disarmed(report), now_s)
             if (
@@ -294,6 +256,24 @@ class Latch:
         elif self._mode is not None and report.mode != self._mode:
             commanded = self._modes_ahead[-1] if self._modes_ahead else self._mode
             self._take_mode(report, now_s, f", {commanded} was commanded")
+
+    def _difference(self, reported: Position | None) -> str:
+        """How a reported target differs from the last obeyed command and from the one after it; "" if it does not."""
+        if not self._obeyed:
+            if reported is not None and not self._pending:
+                self._obeyed = (reported,)
+            return ""
+        if reported is None:
+            return "" if self._pending else "it follows a velocity that the program did not command"
+        expected = (*self._obeyed, *self._pending)
+        if any(place is not None and distance_m(place, reported) <= _SAME_PLACE_M for place in expected):
+            return ""
+        there = f"{reported.east_m:.0f} m east, {reported.north_m:.0f} m north"
+        (obeyed,) = self._obeyed
+        if obeyed is None:
+            return f"it was sent to {there}, which the program did not command"
+        apart_m = distance_m(obeyed, reported)
+        return f"it was sent to {there}, {apart_m:.0f} m from where the program sent it"
 
     def _take_mode(self, report: Heartbeat, now_s: float, instead_of: str) -> None:
         if report.failsafe:
