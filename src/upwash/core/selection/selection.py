@@ -360,7 +360,7 @@ class Selection(Part):
         self.estimates.observe_remote(name, operation, delay_s, now_s=now_s, late=late, less=less)
 
     def _asked(self, server: Server, *, answered: bool, once: bool = False) -> None:
-        """Record whether the server answers here; `once` for each place, where it did not."""
+        """Record whether the server answers here. With `once`, several failures at one place count as one."""
         coverage, here = self.estimates.coverage, self._moment.here
         if coverage is None or server.name not in coverage.servers:
             return
