@@ -207,7 +207,7 @@ class Wind:
             blows = complex(self._reported.east_m_s, self._reported.north_m_s) * way.conjugate()
             ahead_m_s = math.sqrt(max(0.0, speed_m_s**2 - blows.imag**2))  # with the nose into the wind
             slow_m_s.append(speed_m_s - ahead_m_s + max(0.0, -blows.real))
-        return max(0.0, *slow_m_s)
+        return max([0.0, *slow_m_s])
 
 
 def in_battery(number: int | None) -> str:
