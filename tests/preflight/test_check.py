@@ -6,6 +6,7 @@ import contextlib
 import json
 from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
+from statistics import fmean
 
 import pytest
 from msgspec import UNSET
@@ -21,8 +22,8 @@ from upwash.preflight.acts import WithActs
 from upwash.preflight.answers import ServerAnswers, answers_of
 from upwash.preflight.check import MissionCheck, check, missions_to_fly, read_plan
 from upwash.preflight.placement import STEPS, Places, Trials, best_places, candidates, place
-from upwash.preflight.prediction import ALONE, AS_CONFIGURED, LOCAL_ONLY, without
-from upwash.preflight.worth import Worth
+from upwash.preflight.prediction import ALONE, AS_CONFIGURED, LOCAL_ONLY, drawn_worlds, without
+from upwash.preflight.worth import Worth, manners
 
 SCENARIO = """
 [mission]
@@ -477,3 +478,37 @@ def test_it_says_which_photos_servers_will_answer_and_when(
     (*_, last) = [warning.text for warning in found.warnings if warning.kind == "unanswered"] or [""]
     assert warned in last and bool(warned) == bool(last)
     assert not {"no-gain", "hurts"} & {warning.kind for warning in found.warnings}
+
+
+@pytest.mark.parametrize(("columns", "worlds"), [(10, 5), (60, 4), (121, 1), (600, 1)])
+def test_a_mission_of_many_photos_is_flown_in_fewer_worlds(file: Path, columns: int, worlds: int) -> None:
+    grid = f"grid = {{ columns = {columns}, rows = 1, spacing_m = 10.0 }}"
+    file.write_text(
+        f'[mission]\naltitude_m = 20.0\n{grid}\n[[service]]\nname = "detector"\nlocal_call_s = 1.0\n'
+    )
+    assert drawn_worlds(read_plan(file).config) == worlds
+
+
+def test_the_drone_alone_is_flown_once_in_each_world(file: Path) -> None:
+    file.write_text(SCENARIO + NOISE)
+    plan, flown = read_plan(file), list[tuple[str, int]]()
+
+    def noted(chunks: Sequence[Chunk]) -> contextlib.AbstractContextManager[Iterator[list[CampaignRow]]]:
+        flown.extend((chunk.values[0], seed) for chunk in chunks for seed in chunk.seeds)
+        return here(chunks)
+
+    found = check(plan, seeds=2, fly=noted).predictions[0]
+    assert [seed for case, seed in flown if case == LOCAL_ONLY] == [2]
+    times_s = [upwash.simulate(file, policy=LOCAL_ONLY, seed=seed).mission_time_s for seed in (1, 2)]
+    assert found.missions == 2
+    assert found.mission_time_s == pytest.approx(fmean(times_s))
+
+
+def test_rows_without_acts_are_judged_as_configured_alone(file: Path) -> None:
+    rows = SCENARIO.replace("[mission]", "[mission]\nphotos = { every_m = 10.0 }")
+    file.write_text(rows)
+    plan = read_plan(file)
+    assert [name for name, _ in manners(plan.document, plan.config, file)] == [AS_CONFIGURED]
+    file.write_text(rows + "\n[event]\nprobability = 0.1\n")
+    plan = read_plan(file)
+    assert len(list(manners(plan.document, plan.config, file))) == 2

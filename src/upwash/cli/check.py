@@ -7,7 +7,7 @@ import argparse
 from msgspec.structs import replace
 from rich.console import Console
 
-from upwash.cli.arguments import OneOf, figures_of, figures_with, flown_by, option, reads, seeds_of
+from upwash.cli.arguments import OneOf, figures_of, figures_with, flown_by, option, reads
 from upwash.config.drone_file import read_drone_config, refuse_several
 from upwash.errors import UsageError
 from upwash.lab.campaigns.campaign import here_first
@@ -16,11 +16,15 @@ from upwash.preflight.capacity import show_capacity
 from upwash.preflight.check import read_plan
 from upwash.preflight.display import show_check
 from upwash.preflight.fleet import show_fleet_check
+from upwash.preflight.prediction import MOST_WORLDS
 from upwash.support.progress import work
 
 ARGUMENTS = {
     "config": reads("the drone's configuration or a scenario, a TOML file"),
-    **seeds_of("where there is noise, fly each prediction", default=5),
+    "--seeds N": option(
+        "where there is noise, fly each prediction with each of the seeds 1 to N (default: 5, and fewer for more "
+        "than 48 photos)"
+    ),
     "--workers N": "processes, where they pay (default: one per core; one for photos of camera.park_seed)",
     "--place N": option("suggest where N more servers would help most, together", default=0),
     "--place-all": "suggest where the file's own servers would help most, together",
@@ -58,7 +62,9 @@ def run(options: argparse.Namespace) -> bool:
                 "--place, --place-all and --figures are of one drone's way, and this file has [[drone]] tables: "
                 "leave them out, or check a file with one of the drones"
             )
-        return show_fleet_check(plan, seeds=options.seeds, as_json=options.json, workers=options.workers)
+        return show_fleet_check(
+            plan, seeds=options.seeds or MOST_WORLDS, as_json=options.json, workers=options.workers
+        )
     if options.place and options.place_all:
         raise UsageError("--place adds servers and --place-all moves those of the file: give one of them")
     # a process renders each photo once: several would take longer for that than one for all missions

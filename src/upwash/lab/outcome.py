@@ -64,10 +64,10 @@ class FlightOutcome:
         return self.bound.shared_s if isinstance(self.bound, FleetBound) else self.bound.free_s
 
 
-def fly(config: DroneConfig) -> FlightOutcome:
-    """Flies the scenario; raises what `simulate` raises."""
+def fly(config: DroneConfig, *, bounded: bool = True) -> FlightOutcome:
+    """Flies the scenario, without the bounds of one drone unless `bounded`; raises what `simulate` raises."""
     with quiet_daemons():
-        return _fly_fleet(config) if config.drones else _fly_one(config)
+        return _fly_fleet(config) if config.drones else _fly_one(config, bounded=bounded)
 
 
 @contextlib.contextmanager
@@ -81,8 +81,13 @@ def quiet_daemons() -> Iterator[None]:
         daemons.disabled = before
 
 
-def _fly_one(config: DroneConfig) -> FlightOutcome:
+def _fly_one(config: DroneConfig, *, bounded: bool) -> FlightOutcome:
     run = simulate(config)
+    return outcome_of(run, bound_of(run, config) if bounded else None)
+
+
+def outcome_of(run: Run, bound: Bound | None = None) -> FlightOutcome:
+    """The outcome of one drone's mission."""
     failure = failure_of(run)
     return FlightOutcome(
         policy=run.result.policy,
@@ -90,7 +95,7 @@ def _fly_one(config: DroneConfig) -> FlightOutcome:
         failure=failure,
         mission_time_s=run.result.mission_time_s,
         totals=run.result.totals,
-        bound=bound_of(run, config),
+        bound=bound,
         energy=run.result.energy,
     )
 

@@ -37,7 +37,7 @@ _RATIO = 0.75  # of two speeds that are tried at first, or more where many are l
 _HALVINGS = 2
 _CLOSE = 1.05  # two speeds with no further one between them
 _AS_QUICK = 1.002
-_PHOTOS, _LEAST, _MOST = 6000, 4, 12  # photos of all missions that are flown; speeds that are tried
+_PHOTOS, _LEAST, _MOST = 1000, 4, 12  # photos of all missions that are flown; speeds that are tried
 
 
 class Flown(Protocol):
@@ -83,8 +83,8 @@ def _at(config: DroneConfig, ground_speed_m_s: float) -> DroneConfig:
     return replace(config, mission=mission)
 
 
-def chosen_speed(config: DroneConfig, simulate: Simulate) -> ChosenSpeed:
-    """The speed with the shortest mission; the highest that is allowed where none can be flown."""
+def chosen_speed(config: DroneConfig, simulate: Simulate, *, most: int = _MOST) -> ChosenSpeed:
+    """The speed with the shortest mission of at most `most`; the highest allowed one where none can be flown."""
     worlds = believed_worlds(config)
     limits, plan = list(speed_limits(config)), waypoints(config.mission)
     rows_m = sum(
@@ -92,7 +92,7 @@ def chosen_speed(config: DroneConfig, simulate: Simulate) -> ChosenSpeed:
         for before, after in itertools.pairwise(plan)
         if row_of(before) == row_of(after) is not None
     )
-    most = max(_LEAST, min(_MOST, _PHOTOS // len(plan)))
+    most = max(_LEAST, min(most, _PHOTOS // len(plan)))
     try:
         with work("ground speeds tried in simulation", most) as done:
 

@@ -9,14 +9,25 @@ from statistics import fmean
 from msgspec import Struct
 
 from upwash.config.drone import DroneConfig
+from upwash.config.drone_file import drone_config
 from upwash.config.places import waypoints
 from upwash.config.reading import Document
 from upwash.lab.believed import demand_chances
 from upwash.lab.campaigns.campaign import Fly
-from upwash.preflight.prediction import AS_CONFIGURED, LOCAL_ONLY, Prediction, changed, minutes, predict
+from upwash.lab.run import simulate
+from upwash.lab.speed import with_speed
+from upwash.preflight.prediction import (
+    AS_CONFIGURED,
+    LOCAL_ONLY,
+    Prediction,
+    changed,
+    drawn_worlds,
+    minutes,
+    predict,
+)
+from upwash.support.text import counted
 
 _ASSUMED = 0.75  # a survey whose rows overlap shows each object on several photos
-ACT_SEEDS = 5  # chance decides which answers demand an act, also where nothing else is left to chance
 
 
 class WithActs(Struct, frozen=True, kw_only=True):
@@ -55,6 +66,11 @@ def acts_cost(config: DroneConfig) -> bool:
     return costs and config.event is None
 
 
+def act_worlds(config: DroneConfig, seeds: int) -> int:
+    """How many worlds each case is flown in with acts: chance decides which answers demand one."""
+    return max(seeds, drawn_worlds(config))
+
+
 def fly_with_acts(
     document: Document,
     config: DroneConfig,
@@ -73,8 +89,12 @@ def fly_with_acts(
     if config.policy.name != LOCAL_ONLY:
         documents[AS_CONFIGURED] = changed(document)
     for each in documents.values():
+        known = with_speed(drone_config(each, file), simulate)[
+            0
+        ].mission  # the drone chooses without the event
+        each["mission"] |= {"speed": known.speed, "ground_speed_m_s": known.ground_speed_m_s}
         each["event"] = {"probability": share}
-    flown_with = predict(documents, file, seeds=seeds, fly=fly, flown=flown)
+    flown_with = predict(documents, file, seeds=act_worlds(config, seeds), fly=fly, flown=flown)
     return WithActs(share=share, source=source, predictions=tuple(flown_with))
 
 
@@ -99,7 +119,11 @@ def told_acts(config: DroneConfig, without: tuple[Prediction, ...] = (), acts: W
         return f"{does}{said}"
     some = "three of four answers demand" if acts.source == "assumed" else f"{100 * acts.share:.3g} % demand"
     why = "" if acts.source == "assumed" else f", as {acts.source} says"
-    return f"{does}{said}: {_times(without)} if answers only tell, {_times(acts.predictions)} if {some} an act{why}"
+    worlds = counted(acts.predictions[0].missions, "drawn world")
+    return (
+        f"{does}{said}: {_times(without)} if answers only tell, {_times(acts.predictions)} if {some} an act{why} "
+        f"({worlds})"
+    )
 
 
 _MAP_UNUSED = "; policy.demand_map counts in the choice of a speed alone"

@@ -19,11 +19,13 @@ from upwash.drone.deadlines import require_deadlines
 from upwash.drone.preparation import make_estimates, order_of, unkept_deadlines
 from upwash.errors import UpwashError
 from upwash.eventlog import schema
-from upwash.lab.campaigns.campaign import Fly
+from upwash.lab.campaigns.campaign import Fly, row_of
+from upwash.lab.campaigns.file import CampaignRow
+from upwash.lab.outcome import outcome_of, quiet_daemons
 from upwash.lab.run import Run, simulate
 from upwash.lab.speed import with_speed
 from upwash.missions.bundled import load_specs
-from upwash.preflight.acts import ACT_SEEDS, WithActs, acts_cost, demanding_share, fly_with_acts
+from upwash.preflight.acts import WithActs, act_worlds, acts_cost, demanding_share, fly_with_acts
 from upwash.preflight.answers import ServerAnswers, answer_concerns, foretell
 from upwash.preflight.load import Load, load_of
 from upwash.preflight.placement import Placement
@@ -90,7 +92,7 @@ def read_plan(file: Path) -> CheckInput:
 def missions_to_fly(plan: CheckInput, seeds: int) -> int:
     """How many missions `check` flies at most."""
     further = missions_to_judge(plan.document, plan.config, plan.file)
-    acting = 2 * max(seeds, ACT_SEEDS) if acts_cost(plan.config) else 0
+    acting = 2 * act_worlds(plan.config, seeds) if acts_cost(plan.config) else 0
     return (len(dict(cases(plan.document, plan.config))) + further) * seeds + acting
 
 
@@ -106,7 +108,7 @@ def check(
     order = order_of(plan.config, specs)
     config, speed_why = with_speed(plan.config, simulate)
     deadlines = require_deadlines(plan.config, specs, make_estimates(plan.config, specs), order.waypoints)
-    alone = _flown_alone(plan, order)
+    alone, done = _flown_alone(plan, order, seeds)
     covered = coverage(
         places,
         server_areas(plan.config),
@@ -114,12 +116,11 @@ def check(
         ended_s=alone.result.mission_time_s,
         known=coverage_of(plan.config),
     )
+    flown(len(done))
     predictions = predict(
-        dict(cases(plan.document, plan.config)), plan.file, seeds=seeds, fly=fly, flown=flown
+        dict(cases(plan.document, plan.config)), plan.file, seeds=seeds, fly=fly, flown=flown, done=done
     )
-    acts = fly_with_acts(
-        plan.document, plan.config, plan.file, seeds=max(seeds, ACT_SEEDS), fly=fly, flown=flown
-    )
+    acts = fly_with_acts(plan.document, plan.config, plan.file, seeds=seeds, fly=fly, flown=flown)
     answers = foretell(plan.document, plan.config, plan.file)
     worth = judge(plan.document, plan.config, plan.file, predictions, seeds=seeds, fly=fly, flown=flown)
     told: list[str] = []
@@ -153,14 +154,17 @@ def check(
     )
 
 
-def _flown_alone(plan: CheckInput, order: Order) -> Run:
-    """The mission with every call on the drone, in the order that will be flown."""
+def _flown_alone(plan: CheckInput, order: Order, seeds: int) -> tuple[Run, list[CampaignRow]]:
+    """The mission with every call on the drone, in the order that will be flown, and its row of a prediction."""
     config = drone_config(changed(plan.document, policy=LOCAL_ONLY), plan.file)
-    mission = msgspec.structs.replace(config.mission, order="given" if order.sweep is None else order.sweep)
-    run = simulate(msgspec.structs.replace(config, mission=mission))
+    in_order = "given" if order.sweep is None else order.sweep
+    mission = msgspec.structs.replace(config.mission, order=in_order)
+    with quiet_daemons():
+        run = simulate(msgspec.structs.replace(config, mission=mission))
     if run.failure:
         raise UpwashError(f"the mission is not completed in simulation: {run.failure}")
-    return run
+    is_predicted = config.mission.order == in_order and 1 <= config.seed <= seeds
+    return run, [row_of((LOCAL_ONLY,), config, outcome_of(run))] if is_predicted else []
 
 
 def beliefs(config: DroneConfig, run: Run) -> Iterator[Belief]:

@@ -22,7 +22,7 @@ from upwash.preflight.answers import told_answers
 from upwash.preflight.check import CheckInput, MissionCheck, check, missions_to_fly
 from upwash.preflight.load import told_load
 from upwash.preflight.placement import Placement, place
-from upwash.preflight.prediction import LOCAL_ONLY, Prediction, minutes
+from upwash.preflight.prediction import LOCAL_ONLY, MOST_WORLDS, Prediction, drawn_worlds, minutes
 from upwash.preflight.speed import told_speed
 from upwash.preflight.warnings import PreflightWarning, is_for_flight
 from upwash.preflight.waypoints import Farthest, ServerCoverage
@@ -42,14 +42,17 @@ _NO_PACE = (
 def show_check(
     plan: CheckInput,
     *,
-    seeds: int,
+    seeds: int | None = None,
     more_servers: int | None = None,
     as_json: bool = False,
     figures: FigureFiles | None = None,
     fly: Fly,
 ) -> bool:
-    """Checks the file and prints what was found; returns whether there is nothing to warn of."""
-    seeds = seeds if plays_a_part(plan.config) else 1
+    """Checks the file and prints what was found; returns whether there is nothing to warn of.
+
+    Where chance plays a part, each case is flown with `seeds` seeds; without it with as many as take little time.
+    """
+    seeds = (seeds or drawn_worlds(plan.config)) if plays_a_part(plan.config) else 1
     with work("missions flown in simulation", missions_to_fly(plan, seeds)) as flown:
         found = check(plan, seeds=seeds, fly=fly, flown=flown)
     drawn = plan.config
@@ -214,6 +217,8 @@ def _how_sure(found: MissionCheck, config: DroneConfig) -> str:
     missions = found.predictions[0].missions
     if plays_a_part(config):
         sure = f"means of {counted(missions, 'simulated mission')} each, ± 95 % confidence"
+        if missions == 1:
+            sure = f"one simulated mission each, in one drawn world: --seeds {MOST_WORLDS} flies more"
     else:
         sure = "one simulated mission each, as without [noise] all are alike"
     if found.usable_s is not None or found.usable_wh is not None:

@@ -9,12 +9,16 @@ from pathlib import Path
 from msgspec import Struct
 
 from upwash.config.drone import DroneConfig
+from upwash.config.places import waypoints
 from upwash.config.reading import Document
 from upwash.lab.campaigns.campaign import Fly, fly_sweep
+from upwash.lab.campaigns.file import CampaignRow
 from upwash.lab.campaigns.sweep import Combination, ParameterSweep
 from upwash.support.confidence import Mean
 
 LOCAL_ONLY, AS_CONFIGURED, ALONE = "local-only", "as configured", "without any server"
+MOST_WORLDS = 5
+_PHOTOS = 240  # of one case's missions together: the chance of calls and legs evens out over many
 
 
 class Prediction(Struct, frozen=True, kw_only=True):
@@ -41,6 +45,11 @@ class Prediction(Struct, frozen=True, kw_only=True):
         return self.margin_s or 0.0
 
 
+def drawn_worlds(config: DroneConfig) -> int:
+    """How many worlds each case is flown in where chance plays a part: the fewer, the more photos there are."""
+    return max(1, min(MOST_WORLDS, _PHOTOS // len(waypoints(config.mission))))
+
+
 def minutes(time_s: float, margin_s: float | None) -> str:
     """A time in minutes, with its margin."""
     margin = f" ± {margin_s / 60:.2f}" if margin_s is not None else ""
@@ -59,10 +68,11 @@ def predict(
     seeds: int,
     fly: Fly,
     flown: Callable[[int], None] = lambda _: None,
+    done: Sequence[CampaignRow] = (),
 ) -> list[Prediction]:
-    """Flies each of the named documents with the seeds 1 to `seeds`."""
+    """Flies each of the named documents with the seeds 1 to `seeds`, but what is `done`."""
     combinations = tuple(Combination((case,), document) for case, document in documents.items())
-    summaries = fly_sweep(ParameterSweep(file, (), combinations, seeds), fly=fly, flown=flown)
+    summaries = fly_sweep(ParameterSweep(file, (), combinations, seeds), fly=fly, flown=flown, done=done)
     return [
         prediction_of(
             summary.values[0],

@@ -18,6 +18,7 @@ from upwash.lab.speed import chosen_speed, forecast_speed
 from upwash.support.text import counted
 
 _QUICKER = 0.95
+_TRIED = 4  # speeds, before one is called quicker
 
 
 class Blur(Struct, frozen=True, kw_only=True):
@@ -115,7 +116,7 @@ def check_speed(config: DroneConfig, why: str) -> SpeedCheck | None:
 
 def _quicker(config: DroneConfig, given: RowForecast) -> str:
     mission = replace(config.mission, speed="auto", ground_speed_m_s=FASTEST_M_S)
-    chosen = chosen_speed(replace(config, mission=mission), simulate)
+    chosen = chosen_speed(replace(config, mission=mission), simulate, most=_TRIED)
     found = chosen.forecast
     return chosen.why if found is not None and found.mission_s <= _QUICKER * given.mission_s else ""
 

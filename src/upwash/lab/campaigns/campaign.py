@@ -7,19 +7,20 @@ import itertools
 import time
 from collections import defaultdict
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import fmean
 
 import msgspec
 
+from upwash.config.drone import DroneConfig
 from upwash.config.drone_file import drone_config
 from upwash.config.reading import Document
 from upwash.errors import MissionFailed, UsageError
 from upwash.lab import processes
 from upwash.lab.campaigns.file import ENERGY, CampaignFile, CampaignRow
 from upwash.lab.campaigns.sweep import Combination, ParameterSweep
-from upwash.lab.outcome import fly
+from upwash.lab.outcome import FlightOutcome, fly
 from upwash.support.confidence import Mean, mean_or_none
 from upwash.support.loading import extra
 
@@ -33,12 +34,13 @@ _CHUNKS_OF_A_THREAD = 4  # of a cluster, handed out before they are needed
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Some runs of one combination, which one process flies in turn."""
+    """Some runs of one combination, which one process flies in turn; `bounded` if their bounds are wanted."""
 
     file: str
     values: tuple[str, ...]
     document: Document
     seeds: tuple[int, ...]
+    bounded: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,11 +115,15 @@ def _sample(sweep: ParameterSweep, done: Iterable[CampaignRow]) -> list[Chunk]:
 
 
 def fly_sweep(
-    sweep: ParameterSweep, *, fly: Fly, flown: Callable[[int], None] = lambda _: None
+    sweep: ParameterSweep,
+    *,
+    fly: Fly,
+    flown: Callable[[int], None] = lambda _: None,
+    done: Sequence[CampaignRow] = (),
 ) -> list[CombinationSummary]:
-    """Flies the whole sweep and keeps no file of it; returns and tells what `run_campaign` does."""
-    rows: list[CampaignRow] = []
-    with fly(list(_chunks(sweep, (), _CHUNK_RUNS))) as chunks:
+    """Flies what is not `done` of the sweep, without a file; returns what `run_campaign` does, without bounds."""
+    rows = list(done)
+    with fly([replace(chunk, bounded=False) for chunk in _chunks(sweep, rows, 1)]) as chunks:
         for some in chunks:
             rows += some
             flown(len(some))
@@ -176,17 +182,22 @@ def fly_chunk(chunk: Chunk) -> list[CampaignRow]:
 def _fly(chunk: Chunk, seed: int) -> CampaignRow:
     config = msgspec.structs.replace(drone_config(chunk.document, Path(chunk.file)), seed=seed)
     try:
-        flown = fly(config)
+        flown = fly(config, bounded=chunk.bounded)
     except MissionFailed as error:  # this run's failure, not the others'
         return CampaignRow(chunk.values, seed, config.policy.label, failure=_one_line(str(error)))
+    return row_of(chunk.values, config, flown)
+
+
+def row_of(values: tuple[str, ...], config: DroneConfig, flown: FlightOutcome) -> CampaignRow:
+    """The row of a flight with that configuration."""
     totals = asdict(flown.totals) | {"remote": sum(flown.totals.remote.values())}
     if not config.mission.lighter:
         del totals["lighter"]
     energy = asdict(flown.energy) if flown.energy else {}
     fleet = flown.fleet
     return CampaignRow(
-        chunk.values,
-        seed,
+        values,
+        config.seed,
         flown.policy,
         mission_time_s=flown.mission_time_s,
         completed=flown.completed,

@@ -144,11 +144,13 @@ def hold(start: Position, velocity: Velocity) -> tuple[Phase, ...]:
 
 def arrival_s(phases: tuple[Phase, ...]) -> float:
     """The second of the arrival: within 1 m of the end and below 0.5 m/s."""
-    begun_s = 0.0
+    if not phases:
+        return 0.0
+    begun_s, end = 0.0, phases[-1].end
     for phase in phases:
 
         def is_unsettled(elapsed_s: float, phase: Phase = phase) -> bool:
-            left_m = distance_m(phase.position(elapsed_s), phases[-1].end)
+            left_m = distance_m(phase.position(elapsed_s), end)
             return left_m > _ARRIVED_M or phase.velocity(elapsed_s).speed_m_s > _ARRIVED_M_S
 
         if not is_unsettled(0.0):
@@ -268,11 +270,12 @@ def _thinned(samples: Sequence[PursuitSample]) -> list[PursuitSample]:
 
 def _knots(samples: Sequence[PursuitSample]) -> Iterator[int]:
     begin, last = 0, len(samples) - 1
+    rests = [number for number, sample in enumerate(samples) if not sample.velocity_m_s]
     yield begin
     while begin < last:
         end = begin + 1
         for longer in range(begin + _KNOT_SAMPLES, min(begin + _LONGEST_SAMPLES, last) + 1, _KNOT_SAMPLES):
-            if not _drawn_well(samples, begin, longer):
+            if any(begin < rest < longer for rest in rests) or not _drawn_well(samples, begin, longer):
                 break
             end = longer
         yield end
@@ -280,10 +283,8 @@ def _knots(samples: Sequence[PursuitSample]) -> Iterator[int]:
 
 
 def _drawn_well(samples: Sequence[PursuitSample], begin: int, end: int) -> bool:
-    """Whether one curve between two samples is near enough to the samples between them."""
+    """Whether one curve between two samples is near enough to the samples between them, where none rests."""
     before, after = samples[begin], samples[end]
-    if any(not sample.velocity_m_s for sample in samples[begin + 1 : end]):
-        return False
     lasts_s = after.elapsed_s - before.elapsed_s
     mean_m_s = (after.place_m - before.place_m) / lasts_s
     for sample in samples[begin + 1 : end : 2]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 _STEP_S = 0.04
 _MOST_STEPS = 50_000  # no sensible pursuit takes more
@@ -19,8 +20,7 @@ _SETTLING_S = 0.5  # over the last centimetres
 _MARGIN_S = 0.5  # before it brakes
 
 
-@dataclass(frozen=True, slots=True)
-class PursuitSample:
+class PursuitSample(NamedTuple):
     """Place and velocity of the vehicle at that time after the start."""
 
     elapsed_s: float
@@ -61,7 +61,9 @@ class Pursuit:
         yield PursuitSample(elapsed_s, place_m, vehicle_m_s)
         while not _at_rest(length_m - place_m, vehicle_m_s) and steps < _MOST_STEPS:
             steps += 1
-            steady_m = self._steady_m(length_m - way_m, way_m_s, way_m_s2, vehicle_m_s, cruise_m_s)
+            steady_m = 0.0
+            if abs(way_m_s - cruise_m_s) <= _STEADY_M_S * cruise_m_s:
+                steady_m = self._steady_m(length_m - way_m, way_m_s2, vehicle_m_s, cruise_m_s)
             if steady_m > cruise_m_s * _STEP_S:
                 skipped_s = steady_m / abs(way_m_s)
                 elapsed_s += skipped_s
@@ -89,14 +91,10 @@ class Pursuit:
             yield PursuitSample(elapsed_s, place_m, vehicle_m_s)
         yield PursuitSample(elapsed_s + _SETTLING_S, complex(length_m), 0j)
 
-    def _steady_m(
-        self, left_m: complex, way_m_s: complex, way_m_s2: complex, vehicle_m_s: complex, cruise_m_s: float
-    ) -> float:
-        """The distance that it flies on unchanged; 0 unless it cruises straight to its target."""
-        steady_m_s = _STEADY_M_S * cruise_m_s
+    def _steady_m(self, left_m: complex, way_m_s2: complex, vehicle_m_s: complex, cruise_m_s: float) -> float:
+        """The distance that it flies on unchanged, on a way at cruise; 0 unless it cruises straight to its target."""
         if (
-            abs(way_m_s - cruise_m_s) > steady_m_s
-            or abs(vehicle_m_s - cruise_m_s) > steady_m_s
+            abs(vehicle_m_s - cruise_m_s) > _STEADY_M_S * cruise_m_s
             or abs(way_m_s2) > _STEADY_M_S2 * cruise_m_s
             or abs(left_m.imag) > _AT_REST_M
         ):
