@@ -14,20 +14,22 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import upwash
+import upwash.plug_ins
 import upwash.policies
 import upwash.services
 
 PAGE = Path(__file__).parents[1] / "docs" / "api.md"
-PACKAGES = (upwash, upwash.services, upwash.policies)  # whose `__all__` is what is public
+PACKAGES = (upwash, upwash.services, upwash.policies, upwash.plug_ins)  # whose `__all__` is what is public
 
 _HEAD = """\
 # The Python interface
 
 <!-- written by site/api.py from the docstrings: change those, then run `make docs` -->
 
-Missions, services, policies and notebooks import these names of the packages `upwash`, `upwash.services` and
-`upwash.policies`, and [`upwash.environment.UpwashEnv`](own-policy.md#training-a-policy). All other modules
-are private and may change at any time. A configuration names the bundled mission `survey` and service `detector`.
+Missions, services, policies, plug-ins and notebooks import these names of the packages `upwash`, `upwash.services`,
+`upwash.policies` and `upwash.plug_ins`, and [`upwash.environment.UpwashEnv`](own-policy.md#training-a-policy). All
+other modules are private and may change at any time. A configuration names the bundled mission `survey` and service
+`detector`.
 
 A number's name ends in its unit: `_s` for seconds, `_m` for metres. Positions count from the mission's home. Every
 error is an `UpwashError`.
@@ -84,6 +86,8 @@ def page() -> str:
     parts += ["## upwash.policies\n", f"{inspect.getdoc(upwash.policies)}\n"]
     own = [name for name in upwash.policies.__all__ if name not in upwash.__all__]
     parts += [_described(name, getattr(upwash.policies, name)) for name in own]
+    parts += ["## upwash.plug_ins\n", f"{inspect.getdoc(upwash.plug_ins)}\n"]
+    parts += [_described(name, getattr(upwash.plug_ins, name)) for name in upwash.plug_ins.__all__]
     return "\n".join(parts)
 
 
@@ -113,7 +117,7 @@ def _class_head(name: str, cls: type) -> str:
     own = [each for each in vars(cls).get("__annotations__", {}) if not each.startswith("_")]
     defaults = inspect.signature(cls).parameters if own and name not in _GIVEN else {}
     lines = [f"    {each}: {_written(hints[each])}{_default(defaults.get(each))}" for each in own]
-    if name not in _GIVEN and not own and "__init__" in vars(cls):
+    if name not in _GIVEN and not own and "__init__" in vars(cls) and typing.Protocol not in cls.__bases__:
         lines.append("    " + _function("__init__", vars(cls)["__init__"]).replace("\n", "\n    "))
     return "\n".join([head, *lines]) if lines else f"{head} ..."
 

@@ -75,7 +75,7 @@ def _value(action: argparse.Action) -> str:
     if action.nargs == 0:
         return ""
     name = action.metavar or (action.choices and "|".join(map(str, action.choices))) or action.dest.upper()
-    shown = str(name).replace("|", "\\|")
+    shown = (" ".join(name) if isinstance(name, tuple) else str(name)).replace("|", "\\|")
     return f"[{shown}]" if action.nargs == "?" else f"{shown}…" if action.nargs in ("+", "*") else shown
 
 

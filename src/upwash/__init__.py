@@ -1,7 +1,7 @@
 """Runs a drone's heavy computations on the drone or on an edge server, without the mission knowing.
 
-Public are the names in `__all__` here, in `upwash.services`, `upwash.policies` and `upwash.environment`, which
-docs/api.md has. All else may change.
+Public are the names in `__all__` here, in `upwash.services`, `upwash.policies`, `upwash.plug_ins` and
+`upwash.environment`, which docs/api.md has. All else may change.
 """
 
 from __future__ import annotations

@@ -6,9 +6,11 @@ they got. All actions are coroutines on the program's event loop and may be canc
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
+from pathlib import Path
+from socket import socket
 from typing import Literal, Protocol, TypeAlias
 
 from upwash.core.admission.limits import NO_LIMITS, Limits
@@ -22,6 +24,7 @@ from upwash.core.vehicle.return_place import NO_RALLY_POINTS, RallyPoints
 from upwash.core.vehicle.telemetry import Telemetry
 from upwash.core.vehicle.way_home import EnergyFacts
 from upwash.eventlog import schema
+from upwash.eventlog.results import RunResult
 from upwash.support.heat import Surroundings
 
 VehicleNews: TypeAlias = (
@@ -437,3 +440,63 @@ class Runtime(Protocol):
         Calls `called(drone)` when a call of the admitted drone with that `Client.key` begins, and `answered(call)` at
         its end. Both are reports of the instance, which a service may forge.
         """
+
+
+@dataclass(frozen=True, slots=True)
+class Handed:
+    """The instance's ends: its control line, its output, and its socket for callers if it does not listen itself."""
+
+    control: socket
+    output: socket
+    outside: socket | None
+
+
+class ServiceProcess(Protocol):
+    """What runs an instance: a group of processes, or a container."""
+
+    async def ended(self) -> int:
+        """Waits for the end of the first process, and returns its exit code; negative for a signal."""
+
+    async def end(self) -> None:
+        """End the first process and all that it started; returns when they are gone."""
+
+
+class Engine(Protocol):
+    """What a plug-in's instances run in, such as containers; it translates, and decides nothing."""
+
+    @property
+    def enforces(self) -> Collection[str]:
+        """The limits of a spec that hold: of `memory_bytes`, `processes`, `disk_bytes` and `cpus`."""
+
+    @property
+    def is_apart(self) -> bool:
+        """Whether an instance has files of its own, /tmp too; otherwise it must see this machine's."""
+
+    async def run(self, spec: InstanceSpec, command: Sequence[str], handed: Handed) -> ServiceProcess:
+        """Starts the command of an instance, which inherits `control` and `outside` under the same numbers.
+
+        What it prints goes to `output`. It may use `spec.devices`, and no more than `spec.limits`. Raises any error.
+        """
+
+    async def close(self) -> None:
+        """Gives the engine up, once no instance runs."""
+
+
+class LoggedRun(Protocol):
+    """One run of a log, as the export of a plug-in gets it."""
+
+    @property
+    def name(self) -> str:
+        """The shortest name that tells the log from the others."""
+
+    @property
+    def events(self) -> Iterable[schema.Event]:
+        """The events of the run; each pass reads them again."""
+
+    @property
+    def result(self) -> RunResult:
+        """Its times, calls and end."""
+
+
+# The content of a file of these runs; the path is the folder of their photos.
+Export = Callable[[Sequence[LoggedRun], Path | None], bytes]

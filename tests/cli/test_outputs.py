@@ -31,7 +31,8 @@ PATHS = {
     "report": {
         **dict.fromkeys(("logs", "--scenario", "--photos", "--labels"), "read"),
         **dict.fromkeys(
-            ("--out", "--csv", "--geojson", "--findings", "--mcap", "--bag", "--dataset"), "written"
+            ("--out", "--csv", "--geojson", "--findings", "--mcap", "--bag", "--dataset", "--export"),
+            "written",
         ),
     },
     "reproduce": {"--figures": "filled", "--json": "written"},
@@ -77,7 +78,8 @@ def given(command: str, *named: str, path: str) -> list[str]:
             continue
         name = name_of(action)
         if name in named:
-            words += [path] if not action.option_strings else [name, path]
+            kind = ["kind"] if action.nargs == 2 else []
+            words += [path] if not action.option_strings else [name, *kind, path]
         elif action.required or (not action.option_strings and action.nargs not in ("?", "*", 0)):
             needed = action.choices and next(iter(action.choices))
             words += [name] if action.option_strings else []

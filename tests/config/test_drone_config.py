@@ -340,7 +340,7 @@ REFUSED = [
         "photo_s = 1.0",
         "park_seed = 1",
         "camera",
-        "give one of folder, device, topic, bag, park_seed, found folder, park_seed",
+        "give one of folder, device, topic, bag, park_seed, plug_in, found folder, park_seed",
     ),
     (
         'name = "location-aware"',

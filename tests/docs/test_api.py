@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 import upwash
+import upwash.plug_ins
 import upwash.policies
 import upwash.services
 from upwash.cli.main import main
@@ -24,7 +25,10 @@ from upwash.missions import program
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
-PUBLIC = {package.__name__: set(package.__all__) for package in (upwash, upwash.services, upwash.policies)}
+PUBLIC = {
+    package.__name__: set(package.__all__)
+    for package in (upwash, upwash.services, upwash.policies, upwash.plug_ins)
+}
 PUBLIC["upwash.environment"] = {"UpwashEnv"}  # which needs Gymnasium
 
 

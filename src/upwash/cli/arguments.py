@@ -166,7 +166,10 @@ def _paths(options: argparse.Namespace) -> Iterator[tuple[str, Path, argparse.Ac
     for action in options.named:
         value = getattr(options, action.dest)
         name = action.option_strings[-1] if action.option_strings else action.metavar or action.dest
-        for path in value if isinstance(value, list) else [value]:
+        for given in value if isinstance(value, list) else [value]:
+            path = (
+                given[-1] if isinstance(given, list) else given
+            )  # the path of a kind and a path stands last
             if isinstance(path, Path):
                 yield name, path, action
 

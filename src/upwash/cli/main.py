@@ -1,19 +1,17 @@
 """The command line: which commands there are, and how each of them ends.
 
-Only the module of the command that was typed is imported: `upwash.cli.NAME`, with `ARGUMENTS` and `run`.
+A command is an entry point of the group `upwash.commands`, upwash's own and those of plug-ins alike: a module with
+`ARGUMENTS` and `run`. Only the module of the command that was typed is imported.
 """
 
 from __future__ import annotations
 
 import argparse
-import asyncio
 import contextlib
 import functools
 import os
 import sys
-import traceback
 from collections.abc import Collection, Sequence
-from importlib import import_module
 
 from upwash.cli.exit_codes import ExitCode
 from upwash.errors import (
@@ -26,9 +24,7 @@ from upwash.errors import (
     UpwashError,
     UsageError,
 )
-from upwash.support.loading import look_here
-from upwash.support.progress import shown
-from upwash.support.spared import sparing
+from upwash.support.entry_points import COMMANDS, failing, find, load, names, origin, plug_ins, summary
 from upwash.support.standard_streams import forgiving_streams, give_up_output, open_closed_streams
 from upwash.support.text import escaped_lines
 
@@ -86,20 +82,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(arguments: Sequence[str]) -> int:
     command = next((word for word in arguments if not word.startswith("-")), None)
-    if command is not None and command not in _COMMANDS:
-        from upwash.config.problems import unknown  # only needed for errors
-
-        return _complain(UsageError(unknown("command", command, _COMMANDS)), ExitCode.USAGE)
-    parser = command_line(arguments)
+    try:
+        parser = command_line(() if command is None else (command,))
+    except UsageError as error:
+        return _complain(error, ExitCode.USAGE, with_trace=not {"-v", "--verbose"}.isdisjoint(arguments))
     options = parser.parse_args(arguments)
     if "run" not in options:
         parser.print_help(sys.stderr)
         return ExitCode.USAGE
+    # which the version and the help do without
+    from upwash.cli.arguments import inputs_of, outputs_of
+    from upwash.support.loading import look_here
+    from upwash.support.progress import shown
+    from upwash.support.spared import sparing
+
     look_here()
     complain = functools.partial(_complain, with_trace=options.verbose)
     try:
-        from upwash.cli.arguments import inputs_of, outputs_of
-
         with (
             sparing(inputs_of(options), outputs_of(options)),
             contextlib.nullcontext() if _shows_itself(options.command) else shown(options.command),
@@ -126,9 +125,15 @@ def _run(arguments: Sequence[str]) -> int:
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
         return complain(UpwashError(f"{place}{error.strerror or error}"), ExitCode.FAILURE)
-    except (KeyboardInterrupt, asyncio.CancelledError):
+    except _stops():
         print("upwash: stopped at once", file=sys.stderr)
         return ExitCode.INTERRUPTED
+
+
+def _stops() -> tuple[type[BaseException], ...]:
+    import asyncio  # which the help does without
+
+    return KeyboardInterrupt, asyncio.CancelledError
 
 
 def _shows_itself(command: str) -> bool:
@@ -136,7 +141,11 @@ def _shows_itself(command: str) -> bool:
 
 
 def command_line(words: Collection[str] = tuple(_COMMANDS)) -> argparse.ArgumentParser:
-    """The parser of the command line; only the commands among `words` have their arguments."""
+    """The parser of the command line; only the commands among `words` have their arguments.
+
+    Plug-ins are looked for where `words` has none of upwash's own commands. Raises UsageError for an unknown command,
+    or a command that cannot be loaded.
+    """
     parser = argparse.ArgumentParser(
         prog="upwash",
         description="Runs a drone's heavy computations on the drone or on an edge server in reach.",
@@ -144,17 +153,46 @@ def command_line(words: Collection[str] = tuple(_COMMANDS)) -> argparse.Argument
     parser.add_argument("-V", "--version", action=_Version, nargs=0, help="print the version and end")
     _add_verbose(parser, default=False)
     commands = parser.add_subparsers(metavar="COMMAND")
-    for name, help_ in _COMMANDS.items():
-        command = commands.add_parser(name, help=help_, formatter_class=argparse.RawDescriptionHelpFormatter)
+    helps = _COMMANDS if not _COMMANDS.keys().isdisjoint(words) else _COMMANDS | _helps_of_plug_ins()
+    for name in dict.fromkeys((*helps, *words)):
+        command = commands.add_parser(
+            name, help=helps.get(name), formatter_class=argparse.RawDescriptionHelpFormatter
+        )
         if name in words:
-            module = import_module(f"upwash.cli.{name}")
-            from upwash.cli.arguments import add_options  # which the version and the help do without
-
-            named = tuple(add_options(command, module.ARGUMENTS))
-            command.epilog = getattr(module, "EPILOG", None)
-            command.set_defaults(run=module.run, command=name, named=named)
+            _complete(command, name)
         _add_verbose(command, default=argparse.SUPPRESS)
     return parser
+
+
+def _helps_of_plug_ins() -> dict[str, str]:
+    """The commands of plug-ins, each with what the metadata says: nothing is loaded for a list."""
+    helps = dict[str, str]()
+    for entry in plug_ins(COMMANDS):
+        if entry.name in _COMMANDS:  # which no plug-in replaces
+            continue
+        said = f"{summary(entry)} (of {origin(entry)})".strip().replace("%", "%%")
+        helps[entry.name] = f"{helps[entry.name]}; {said}" if entry.name in helps else said
+    return helps
+
+
+def _complete(command: argparse.ArgumentParser, name: str) -> None:
+    """Gives the parser of a command its arguments; raises UsageError."""
+    entry = find(COMMANDS, name)
+    if entry is None:
+        from upwash.config.problems import unknown  # only needed for errors
+
+        if name in _COMMANDS:
+            raise UsageError(
+                f"the command {name!r} is not installed: this upwash lacks its metadata; install it again"
+            )
+        raise UsageError(unknown("command", name, dict.fromkeys((*_COMMANDS, *names(COMMANDS)))))
+    module = load(entry)
+    from upwash.cli.arguments import add_options  # which the version and the help do without
+
+    with failing(COMMANDS, name, f"of {origin(entry)} has no usable ARGUMENTS and run", UsageError):
+        named = tuple(add_options(command, module.ARGUMENTS))
+        command.epilog = getattr(module, "EPILOG", None)
+        command.set_defaults(run=module.run, command=name, named=named)
 
 
 def _add_verbose(parser: argparse.ArgumentParser, *, default: object) -> None:
@@ -180,6 +218,8 @@ class _Version(argparse.Action):
 def _complain(error: UpwashError, code: int, *, with_trace: bool = False) -> int:
     with contextlib.suppress(OSError):
         if with_trace and (handled := sys.exc_info()[1]) is not None:
+            import traceback  # only needed for errors
+
             print(escaped_lines("".join(traceback.format_exception(handled))), end="", file=sys.stderr)
         print(f"upwash: {escaped_lines(str(error))}", file=sys.stderr)
     return code

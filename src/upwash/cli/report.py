@@ -13,7 +13,7 @@ from upwash.cli.client_document import CLIENT, client_document_of
 from upwash.cli.other_policies import OTHERS_FLY, others_flown
 from upwash.errors import UsageError
 from upwash.report.dataset import require_new, write_dataset
-from upwash.report.exports import write_csv, write_geojson, write_json
+from upwash.report.exports import export_of, write_csv, write_geojson, write_json
 from upwash.report.finding_files import FORMATS, findings_file
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record, read_records, reviewed_of
@@ -39,10 +39,17 @@ ARGUMENTS = {
     "--mcap FILE": writes("a recording that Foxglove opens"),
     "--bag DIR": writes("a ROS 2 bag, a new folder"),
     "--dataset DIR": writes("the photos with accepted boxes, as YOLO's tools train with them, a new folder"),
+    "--export": writes(
+        "a file of a kind that a plug-in brings; may be given several times",
+        nargs=2,
+        metavar=("KIND", "FILE"),
+        action="append",
+        default=[],
+    ),
     "--scenario FILE": reads(OTHERS_FLY),
     "--photos DIR": reads(
-        "with -o, --mcap, --bag, --findings or --dataset: the folder of the photos that the logs name; with "
-        "--client one for all logs, or one for each, in their order",
+        "with -o, --mcap, --bag, --findings, --export or --dataset: the folder of the photos that the logs name; "
+        "with --client one for all logs, or one for each, in their order",
         action="append",
         default=[],
     ),
@@ -66,6 +73,7 @@ def run(options: argparse.Namespace) -> None:
         (options.geojson, _in_utf8(write_geojson)),
         (options.findings, functools.partial(_findings, file=options.findings, photos=folder)),
         (options.mcap, functools.partial(_recording, photos=folder)),
+        *((file, export_of(kind.name, folder)) for kind, file in options.export),
         (PRINTED if options.json else None, _in_utf8(lambda records: write_json(records) + "\n")),
     ]
     _require_sense(options)
@@ -73,7 +81,7 @@ def run(options: argparse.Namespace) -> None:
     if not wanted and not options.bag and not options.dataset:
         raise UsageError(
             "nothing to make: ask for -o FILE, --csv FILE, --geojson FILE, --findings FILE, --mcap FILE, --bag DIR, "
-            "--dataset DIR or --json"
+            "--dataset DIR, --export KIND FILE or --json"
         )
     if [file for file, _ in wanted].count(PRINTED) > 1:
         raise UsageError("two outputs would be printed as one: name a file for all but one of them")
@@ -105,10 +113,10 @@ def run(options: argparse.Namespace) -> None:
 
 def _require_sense(options: argparse.Namespace) -> None:
     """Raises UsageError for options that do not go together."""
-    others = options.mcap or options.findings or options.bag or options.dataset
+    others = options.mcap or options.findings or options.bag or options.dataset or options.export
     if options.photos and not (options.out or others):
         raise UsageError(
-            "--photos goes with -o, --mcap, --bag, --findings or --dataset: nothing else has photos in it"
+            "--photos goes with -o, --mcap, --bag, --findings, --export or --dataset: nothing else has photos in it"
         )
     if len(options.photos) > 1 and (not options.client or others):
         raise UsageError(

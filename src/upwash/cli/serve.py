@@ -3,21 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import os
-import resource
 from collections.abc import Mapping
 from pathlib import Path
 
 from upwash.cli.arguments import OneOf, announce, config_of, option, require_linux
 from upwash.errors import UsageError
-from upwash.launch.daemon import keep_heaps_few, serve
-from upwash.launch.daemon_check import check
-from upwash.real.host.first_process import leave_first_process
-from upwash.real.host.log import log_json, log_text
-from upwash.real.host.service_manager import ServiceManager
-from upwash.real.link.hand_over import handed_over
-from upwash.real.link.orders import give_order
 
 _MOST_PROCESS = 2**22  # of Linux
 
@@ -47,33 +38,56 @@ def run(options: argparse.Namespace) -> bool:
     if options.reload is not None:
         return _ordered(options.reload, "reload", options.config)
     if options.check is not None:
-        running = options.check
-        if running.isdecimal():
-            return _ordered(int(running), "check", options.config)
-        return _tell(asyncio.run(check(options.config, Path(running) if running else None)))
+        return _checked(options.config, options.check)
+    _serve(options.config, is_json=options.log_format == "json")
+    return True
+
+
+def _serve(config: Path, *, is_json: bool) -> None:
+    import asyncio  # and the daemon, which the help does without
+    import resource
+
+    from upwash.launch.daemon import keep_heaps_few, serve
+    from upwash.real.host.first_process import leave_first_process
+    from upwash.real.host.log import log_json, log_text
+    from upwash.real.host.service_manager import ServiceManager
+    from upwash.real.link.hand_over import handed_over
+
     leave_first_process()
     before = handed_over(os.environ)
     manager = ServiceManager.taken_from(os.environ)
     keep_heaps_few()
-    (log_json if options.log_format == "json" else log_text)()
+    (log_json if is_json else log_text)()
     # Each connection is an open file: as many as the system allows, or a thousand strangers would keep drones out.
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
     asyncio.run(
         serve(
-            options.config,
+            config,
             ready=lambda names, address: announce(f"{names} ready at {address}"),
             manager=manager,
             before=before,
         )
     )
-    return True
+
+
+def _checked(config: Path, running: str) -> bool:
+    """Print what a start with the configuration, or a reload of what runs now, would refuse."""
+    import asyncio
+
+    from upwash.launch.daemon_check import check
+
+    if running.isdecimal():
+        return _ordered(int(running), "check", config)
+    return _tell(asyncio.run(check(config, Path(running) if running else None)))
 
 
 def _ordered(process: int, order: str, config: Path) -> bool:
     """Have the daemon of that process, whose configuration is the file, obey an order; print what it refuses."""
     if not 1 <= process <= _MOST_PROCESS:
         raise UsageError(f"{process} is no number of a process")
+    from upwash.real.link.orders import give_order
+
     obeyed = give_order(process, order)
     if Path(obeyed.file).resolve() != config.resolve():
         raise UsageError(f"the daemon of process {process} has another configuration: name {obeyed.file}")

@@ -47,7 +47,7 @@ from upwash.plans import FlightPlan
 _FARTHEST_M = 100_000.0  # from home: a plan for another field, or one with its coordinates swapped
 _HOME = Position(0.0, 0.0)
 _WAYS = ("grid", "waypoints_m", "plan")
-_SOURCES = ("folder", "device", "topic", "bag", "park_seed")
+_SOURCES = ("folder", "device", "topic", "bag", "park_seed", "plug_in")
 _LENSES = ("fov_deg", "focal_px", "calibration")
 _MOST_DRONES = 1000  # the largest simulation that was tried
 
@@ -372,6 +372,8 @@ def _camera_problems(camera: CameraConfig) -> Iterator[Problem]:
         found.remove("topic")  # it chooses one of the bag's
     if len(found) > 1:
         yield "camera", f"photos from several places: give one of {listed(_SOURCES)}, found {listed(found)}"
+    if camera.settings and camera.plug_in is None:
+        yield "camera.settings", "only the camera of a plug-in takes some: name it in camera.plug_in"
     given = _given(camera, _LENSES)
     if len(given) > 1:
         yield "camera", f"several lenses: give one of {listed(_LENSES)}, found {listed(given)}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -276,6 +275,10 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     `{time}` in its name is the flight's start, in UTC: [kept photos](findings.md#kept-photos)."""
     park_seed: values.CountFromZero | None = None
     """Photos are rendered: the solar park of this seed, below the drone."""
+    plug_in: values.Text | None = None
+    """The name of a camera that a [plug-in](plug-ins.md) brings."""
+    settings: values.ClassSettings = {}
+    """What the camera of the plug-in takes."""
 
 
 class RosConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -296,9 +299,7 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     name: Policy = "look-ahead"
     """The rule that selects servers and places calls; a [policy of your own](own-policy.md) as `mine.py:Class`."""
-    settings: Annotated[
-        Mapping[str, str | int | float | bool], Meta(description="a table of what the class takes")
-    ] = {}
+    settings: values.ClassSettings = {}
     """The arguments of your own policy's class, by name."""
     gain_switch: values.Fraction = 0.25
     """The share of the local delay that a switch to another server must save."""

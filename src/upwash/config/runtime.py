@@ -10,6 +10,7 @@ from msgspec import Meta, Struct
 
 from upwash.config import values
 from upwash.config.problems import Problem
+from upwash.support.entry_points import INSTANCES, names
 
 # A Python interpreter with gRPC needs this much.
 MemoryBytes = Annotated[int, Meta(ge=2**26, description="an integer of at least 67108864 (64 MiB), in bytes")]
@@ -26,6 +27,7 @@ Devices = Annotated[
     Meta(description='an array of paths like "/dev/dri", or of names like "nvidia.com/gpu=all"'),
 ]
 NVIDIA_CARD = re.compile(r"nvidia\.com/gpu=(all|\d{1,3})", re.ASCII)  # of the Container Device Interface
+OWN_KINDS = ("docker", "lxd", "process")
 _ADDRESSES = {"docker": "unix:/var/run/docker.sock", "lxd": "unix:/var/lib/lxd/unix.socket"}
 
 
@@ -47,6 +49,8 @@ class EngineConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """The private key of that certificate."""
     engine_certificate: values.FilePath | None = None
     """The engine's own certificate."""
+    settings: values.ClassSettings = {}
+    """What the engine of a [plug-in](plug-ins.md) takes."""
 
 
 class ContainerNetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -61,8 +65,9 @@ class ContainerNetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_f
 class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What services run in, and what each instance may use at most."""
 
-    kind: Literal["process", "docker", "lxd"] = "process"
-    """Processes, or [containers](containers.md) of Docker or Podman (`docker`), of LXD or Incus (`lxd`)."""
+    kind: values.Text = "process"
+    """Processes (`process`), or [containers](containers.md) of Docker or Podman (`docker`), of LXD or Incus (`lxd`),
+    or of an engine that a [plug-in](plug-ins.md) brings under its name."""
     sandbox: Literal["auto", "required", "off"] = "auto"
     """The sandbox of processes: `auto`: if bubblewrap can make one; `required`: no start without one; `off`."""
     sandbox_as_root: bool = False
@@ -87,6 +92,16 @@ class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     network: ContainerNetworkConfig = ContainerNetworkConfig()
 
     @property
+    def is_of_plug_in(self) -> bool:
+        """Whether a plug-in brings the engine."""
+        return self.kind not in OWN_KINDS
+
+    @property
+    def has_images(self) -> bool:
+        """Whether services are in images; otherwise their code is on this machine."""
+        return self.kind in ("docker", "lxd")
+
+    @property
     def engine_addresses(self) -> tuple[str, ...]:
         """Where the container engine is."""
         return self.engine.addresses or (_ADDRESSES.get(self.kind, _ADDRESSES["lxd"]),)
@@ -95,6 +110,17 @@ class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 def runtime_problems(runtime: RuntimeConfig) -> Iterator[Problem]:
     """What is wrong with a runtime's table, beyond its types."""
     yield from device_problems("runtime.devices", runtime.devices, runtime)
+    if runtime.is_of_plug_in:
+        if runtime.kind not in (known := names(INSTANCES)):
+            own = ", ".join(f'"{kind}"' for kind in OWN_KINDS)
+            yield (
+                "runtime.kind",
+                f"expected one of {own}, or an engine of a plug-in that is installed here "
+                f'({", ".join(known) or "none"}), found "{runtime.kind}"',
+            )
+        return
+    if runtime.engine.settings:
+        yield "runtime.engine.settings", f'kind = "{runtime.kind}" takes none: leave them out'
     if runtime.kind != "docker":
         yield from _lxd_problems(runtime)
         return

@@ -44,6 +44,9 @@ ImportPath = Annotated[
         description='an import path like "package.module:Class", or "path/to/file.py:Class" from this file\'s folder',
     ),
 ]
+ClassSettings = Annotated[
+    Mapping[str, str | int | float | bool], Meta(description="a table of what the class takes")
+]
 FilePath = Annotated[Path, Meta(description="a file's path, absolute or from this file's folder")]
 
 

@@ -90,7 +90,7 @@ def flight_program(
 
 
 def _camera(config: CameraConfig) -> CameraConfig:
-    if (config.folder, config.device, config.park_seed) == (None, None, None):
+    if (config.folder, config.device, config.park_seed, config.plug_in) == (None, None, None, None):
         return msgspec.structs.replace(config, park_seed=_PARK_SEED)
     return config
 

@@ -9,7 +9,7 @@ import inspect
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import ModuleType
@@ -29,13 +29,14 @@ from upwash.real.camera.camera import FolderCamera, photo_files, read_photo_file
 from upwash.real.camera.video import VideoCamera
 from upwash.services.photo import other_format
 from upwash.sim.camera import RenderedCamera
+from upwash.support.entry_points import CAMERAS, made, plug_in
 from upwash.support.jpeg import EOI, segments_of, size_of
 from upwash.support.loading import extra
-from upwash.support.text import counted
+from upwash.support.text import counted, worded
 
 NO_CAMERA = (
-    "no camera: say in [camera] where photos come from: folder, device, topic, bag, or park_seed for rendered "
-    "ones"
+    "no camera: say in [camera] where photos come from: folder, device, topic, bag, plug_in, or park_seed "
+    "for rendered ones"
 )
 _TAKES = ("take_photo", ".frames(")
 _MOST_FILES = 2000  # of a folder: a card may hold more than a person waits for
@@ -43,6 +44,7 @@ _MOST_S = 60.0
 _MOST_NAMED = 5
 _APART_S = 1.0  # between two photos that cannot be the same
 _LEAST_AGE_S = 1.0  # that a device's photo may have: a large frame takes some time to become a JPEG
+_PHOTO_S = 20.0  # of a plug-in's camera
 _DARKEST = 16  # of 255: what a sensor shows behind its cap
 
 
@@ -54,12 +56,40 @@ class NoCamera:
         raise CameraError("of the mission", NO_CAMERA)
 
 
+class PlugInCamera:
+    """The camera of a plug-in: it fails as a camera fails, and its photos have the configured lens."""
+
+    def __init__(self, name: str, camera: Camera, *, lens: Lens | None) -> None:
+        self._name, self._camera, self._lens = name, camera, lens
+
+    async def take_photo(self, at: Position) -> Photo:
+        """One photo; raises CameraError, at the latest after 20 s."""
+        limit = asyncio.timeout(_PHOTO_S)
+        try:
+            async with limit:
+                photo = await self._camera.take_photo(at)
+            return photo if photo.lens is not None else replace(photo, lens=self._lens)
+        except CameraError:
+            raise
+        except Exception as error:
+            failed = f"its plug-in failed: {worded(error)}"
+            silent = f"it gave no photo within {_PHOTO_S:g} s"
+            raise CameraError(self._name, silent if limit.expired() else failed) from error
+
+
 def needs_camera(config: DroneConfig) -> bool:
     """Whether a camera is configured, or the source of the mission or its imports takes photos."""
     camera = config.camera
     if any(
         source is not None
-        for source in (camera.folder, camera.device, camera.topic, camera.bag, camera.park_seed)
+        for source in (
+            camera.folder,
+            camera.device,
+            camera.topic,
+            camera.bag,
+            camera.park_seed,
+            camera.plug_in,
+        )
     ):
         return True
     mission = load_mission(config.mission.program, mode=config.mission.mode)
@@ -87,7 +117,7 @@ def _source(module: ModuleType) -> str:
 
 
 def camera_without_device(config: CameraConfig, *, in_flight: bool = False) -> Camera | None:
-    """The configured camera, or None for a device or a topic, which is not opened; raises UsageError."""
+    """The configured camera, or None for a camera that must be opened; raises UsageError."""
     if config.folder is not None:
         return FolderCamera(config.folder, photo_s=config.photo_s, lens=lens_of(config), in_flight=in_flight)
     if config.park_seed is not None:
@@ -100,6 +130,9 @@ def camera_without_device(config: CameraConfig, *, in_flight: bool = False) -> C
         from upwash.ros.camera import require_ros
 
         require_ros()
+        return None
+    if config.plug_in is not None:
+        plug_in(CAMERAS, config.plug_in)
         return None
     if config.device is None:
         raise UsageError(NO_CAMERA)
@@ -133,6 +166,10 @@ async def opened_camera(
         from upwash.ros.camera import topic_camera
 
         return stack.enter_context(topic_camera(config.topic, lens=lens_of(config)))
+    if camera is None and config.plug_in is not None:
+        camera = made(CAMERAS, config.plug_in, config.settings)
+        stack.callback(getattr(camera, "close", lambda: None))
+        return PlugInCamera(config.plug_in, camera, lens=lens_of(config))
     if camera is None:
         assert config.device is not None  # noqa: S101
         camera = stack.enter_context(

@@ -17,6 +17,7 @@ from upwash.core.admission.limits import CUDA_MEMORY_BYTES, DEFAULT_LIMITS, Limi
 from upwash.errors import UsageError
 from upwash.real.instances.cards import device_files, has_card
 from upwash.real.instances.sandbox import Sandbox, find_sandbox
+from upwash.support.entry_points import INSTANCES, failing, made
 
 _ROOT = (
     "the daemon is root, and so is whatever breaks out of a sandbox that root made: "
@@ -86,6 +87,11 @@ async def find_confinement(config: DaemonConfig) -> Confinement:
         return Confinement(unenforced=await _unenforced_by_docker(runtime))
     if runtime.kind == "lxd":
         return Confinement()
+    if runtime.is_of_plug_in:
+        why = f'the engine of runtime.kind = "{runtime.kind}" does not enforce it'
+        with failing(INSTANCES, runtime.kind, "does not say what it enforces", UsageError):
+            enforces = made(INSTANCES, runtime.kind, runtime.engine.settings).enforces
+        return Confinement(unenforced={name: why for name in _NAMES if name not in enforces})
     if runtime.sandbox == "off":
         return _without_sandbox(
             "services run without a sandbox, as runtime.sandbox says",

@@ -23,12 +23,12 @@ from upwash.launch.daemon_keys import DaemonKeys, warn_without_list, watch_expir
 from upwash.launch.daemon_reload import ConfigFile, Reloads, note_services, offers
 from upwash.launch.daemon_services import DaemonServices, Services
 from upwash.launch.in_force import CONFIGURATION, KEYS, REVOCATIONS, InForce
-from upwash.ports import InstanceSpec, Runtime
+from upwash.ports import Engine, InstanceSpec, Runtime
 from upwash.real.host.log import RateLimitedLog
 from upwash.real.host.scratch import socket_folder
 from upwash.real.host.service_manager import ServiceManager
 from upwash.real.host.signals import ending_in_time, on_signal, stopping_politely
-from upwash.real.instances.runtime import ProcessRuntime, sockets_in
+from upwash.real.instances.runtime import PlugInRuntime, ProcessRuntime, sockets_in
 from upwash.real.link.door import Door, OnTraffic, leading, opened_door
 from upwash.real.link.hand_over import HandedOver
 from upwash.real.link.limits import DoorLimits
@@ -40,6 +40,7 @@ from upwash.real.link.streams import listening_socket
 from upwash.server.daemon import EdgeServer
 from upwash.server.instances import Observer
 from upwash.support.background import beside, first, never
+from upwash.support.entry_points import INSTANCES, made
 from upwash.support.loading import extra
 from upwash.support.text import printable
 
@@ -234,7 +235,13 @@ async def _runtime(
     listen: Callable[[InstanceSpec], str] = lambda _: f"{host}:0"  # noqa: E731
     if lead or config.listen.startswith("unix:"):
         listen = sockets_in(sockets)
-    if config.runtime.kind != "process":
+    if config.runtime.is_of_plug_in:
+        engine: Engine = made(INSTANCES, config.runtime.kind, config.runtime.engine.settings)
+        try:
+            yield PlugInRuntime(engine, listen, lead=lead, max_message_bytes=config.max_message_bytes), {}
+        finally:
+            await engine.close()
+    elif config.runtime.has_images:
         from upwash.launch.containers import containers
 
         limits, devices = confinement.limits(config), confinement.devices(config)

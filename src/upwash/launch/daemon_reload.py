@@ -327,7 +327,7 @@ def needs_restart(old: DaemonConfig, new: DaemonConfig) -> list[str]:
         problems.append("the servers of a running daemon cannot change: restart it")
     if (old.keys is None) != (new.keys is None):
         problems.append("a daemon that runs cannot begin or cease to use certificates: restart it")
-    if old.runtime.kind != "process" and old.images != new.images:
+    if old.runtime.has_images and old.images != new.images:
         problems.append("the services of containers are prepared at the start: restart it")
     names = sorted(set(old.__struct_fields__) - {"images", "identities", "keys"})
     changed = [name for name in names if getattr(old, name) != getattr(new, name)]

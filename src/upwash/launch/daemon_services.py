@@ -80,7 +80,7 @@ class DaemonServices:
         for a device that is not here.
         """
         limits, devices = self._confinement.limits(config), self._confinement.devices(config)
-        is_loaded = config.runtime.kind == "process"
+        is_loaded = not config.runtime.has_images
         if not is_loaded:
             _log.info("images of containers are looked at when the daemon starts: restart it to use others")
         looks = range(len(config.images))

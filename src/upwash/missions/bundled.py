@@ -1,4 +1,4 @@
-"""Services by name: the bundled ones, and the user's own by their path."""
+"""Services by name: the bundled one, those of plug-ins, and the user's own by their path."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from upwash.errors import UsageError
 from upwash.ports import Program
 from upwash.rpc.service import ServiceSpec, load_service, spec_of
 from upwash.rpc.settings import construct, plain, required_settings
-
-_SERVICES = {"detector": "upwash.services:Detector"}
+from upwash.support.entry_points import SERVICES, find, names
 
 if TYPE_CHECKING:  # which a daemon does not load
     from upwash.config.drone import ServiceConfig
@@ -50,15 +49,15 @@ def load_specs(configured: Sequence[ConfiguredService]) -> dict[str, ServiceSpec
 
 
 def load_service_alone(name: str) -> LoadedService:
-    """A service without a configuration: a bundled one by its name, or any by its class's path; raises UsageError."""
-    path = name if ":" in name else bundled_service(name)
+    """A service without a configuration, by its name or its class's path; raises UsageError."""
+    path = name if ":" in name else installed_service(name)
     part = spec_of(cls := load_service(path)).before_sending
     return LoadedService(cls, Program(path), Program(_path_beside(path, part)) if part else None)
 
 
 def load_configured(configured: ConfiguredService, key: str) -> LoadedService:
     """The service at that key of a configuration; raises UsageError if it does not fit its class."""
-    path = configured.program or bundled_service(configured.name)
+    path = configured.program or installed_service(configured.name)
     cls = load_service(path)
     spec = spec_of(cls)
     if spec.name != configured.name:
@@ -101,11 +100,12 @@ def _path_beside(path: str, part: type) -> str:
     return f"{file if is_alone and file else part.__module__}:{part.__qualname__}"
 
 
-def bundled_service(name: str) -> str:
-    """The path of a bundled service's class; raises UsageError naming those that there are."""
-    if name not in _SERVICES:
+def installed_service(name: str) -> str:
+    """The path of the class that upwash or a plug-in brings under that name; raises UsageError."""
+    found = find(SERVICES, name)
+    if found is None:
         raise UsageError(
             f"service {name!r} needs a program, path/to/file.py:Class or package.module:Class; "
-            f"bundled, and without one, there is only: {', '.join(_SERVICES)}"
+            f"bundled or of a plug-in, and without one, there is only: {', '.join(names(SERVICES))}"
         )
-    return _SERVICES[name]
+    return found.value

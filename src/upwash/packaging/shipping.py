@@ -12,7 +12,7 @@ from upwash.config.daemon import DaemonConfig
 from upwash.config.runtime import RuntimeConfig
 from upwash.errors import UsageError
 from upwash.launch.containers import docker_engine, docker_images
-from upwash.missions.bundled import LoadedService, bundled_service, load_service_alone, load_services
+from upwash.missions.bundled import LoadedService, installed_service, load_service_alone, load_services
 from upwash.packaging.image import Format
 from upwash.real.instances.containers import ServiceImage, labelled_image, newest_images
 from upwash.real.instances.docker.engine import DockerEngine
@@ -53,9 +53,9 @@ async def import_image(file: Path, kind: Format, daemon: DaemonConfig | None) ->
 
 async def list_images(daemon: DaemonConfig) -> list[HeldService]:
     """What the daemon has of each of its services."""
-    if daemon.runtime.kind == "process":
+    if not daemon.runtime.has_images:
         return [
-            HeldService(image.name, image.program or bundled_service(image.name)) for image in daemon.images
+            HeldService(image.name, image.program or installed_service(image.name)) for image in daemon.images
         ]
     if daemon.runtime.kind == "lxd":
         async with _connected(Engine(daemon.runtime)) as lxd:

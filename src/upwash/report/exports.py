@@ -6,18 +6,21 @@ import csv
 import io
 import itertools
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from upwash.core.geo import Circle, LocalFrame, Position
-from upwash.errors import UsageError
+from upwash.errors import UpwashError, UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.results import RunResult, as_json
+from upwash.ports import Export
 from upwash.report.antimeridian import cut_line, cut_ring
 from upwash.report.palette import LIGHT
 from upwash.report.record import Record, reviewed_of
+from upwash.support.entry_points import EXPORTS, failing, plug_in
 from upwash.support.text import escaped
 
 SIDES = 64  # of the polygon that stands for a range
@@ -62,6 +65,17 @@ def _exported(record: Record) -> Exported:
     return Exported(
         record.name, record.result, record.result.local_only_time_s(), record.result.saved_s(), findings
     )
+
+
+def export_of(kind: str, photos: Path | None) -> Callable[[Sequence[Record]], bytes]:
+    """The export of a plug-in, with that folder of photos; raises UsageError, and UpwashError when it fails."""
+    export: Export = plug_in(EXPORTS, kind)
+
+    def write(records: Sequence[Record]) -> bytes:
+        with failing(EXPORTS, kind, "failed", UpwashError):
+            return bytes(export(records, photos))
+
+    return write
 
 
 def cell(value: object) -> object:

@@ -7,14 +7,12 @@ import contextlib
 import itertools
 import socket
 from collections.abc import Awaitable, Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import msgspec
 
 from upwash.errors import InstanceError
-from upwash.ports import InstanceSpec
+from upwash.ports import Handed, InstanceSpec, ServiceProcess
 from upwash.real.instances.control import Begin
 from upwash.real.instances.instance_control import ControlledInstance, InstanceCallbacks, InstanceControl
 from upwash.real.instances.output import chunks_of
@@ -26,25 +24,6 @@ from upwash.support.background import end, first, only_logged, start
 STOP_GRACE_S = 2.0
 _numbers = itertools.count()  # of pairs, in their names
 _INSIDE = "unix:/tmp/instance.sock"  # in its own /tmp
-
-
-@dataclass(frozen=True, slots=True)
-class Handed:
-    """The instance's ends: its control line, its output, and its socket for callers if it does not listen itself."""
-
-    control: socket.socket
-    output: socket.socket
-    outside: socket.socket | None
-
-
-class ServiceProcess(Protocol):
-    """What runs an instance: a group of processes, or a container."""
-
-    async def ended(self) -> int:
-        """Waits for the end of the first process, and returns its exit code; negative for a signal."""
-
-    async def end(self) -> None:
-        """End the first process and all that it started; returns when they are gone."""
 
 
 Run = Callable[[InstanceSpec, Handed], Awaitable[ServiceProcess]]

@@ -14,15 +14,16 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from weakref import WeakSet, WeakValueDictionary
 
-from upwash.errors import InstanceError
-from upwash.ports import Answered, InstanceSpec, ignored
+from upwash.errors import InstanceError, UpwashError
+from upwash.ports import Answered, Engine, Handed, InstanceSpec, ServiceProcess, ignored
 from upwash.real.instances.control import begin_of
 from upwash.real.instances.instance_control import InstanceCallbacks, starting
-from upwash.real.instances.local_instance import STOP_GRACE_S, Handed, LocalInstance
+from upwash.real.instances.local_instance import STOP_GRACE_S, LocalInstance
 from upwash.real.instances.sandbox import Sandbox, open_call_filter
 from upwash.real.link.direct import DirectLink
 from upwash.real.link.door import Lead
 from upwash.support.loading import module_command
+from upwash.support.text import worded
 
 _log = logging.getLogger("upwash.instance")
 _KILL_S = 5.0  # for a killed process to be gone; a process that waits in the kernel may never be
@@ -63,6 +64,7 @@ class ProcessRuntime:
         self._lead = lead
         self._max_message_bytes = max_message_bytes
         self._sandbox = sandbox
+        self._is_apart = sandbox is not None  # each instance has files of its own
         self._groups: WeakSet[ProcessGroup] = WeakSet()
 
     async def start(
@@ -80,16 +82,15 @@ class ProcessRuntime:
         )
         try:
             async with starting(instance):
-                await instance.begin(begin, is_apart=self._sandbox is not None)
+                await instance.begin(begin, is_apart=self._is_apart)
         except InstanceError as error:
             if self._sandbox is None:
                 raise
             raise InstanceError(f"{error}{self._sandbox.remedy(str(error), spec.program)}") from error
         return instance
 
-    async def _run(self, spec: InstanceSpec, handed: Handed) -> ProcessGroup:
-        inherited = [end.fileno() for end in (handed.control, handed.outside) if end is not None]
-        command = module_command("upwash.real.instances.instance", *map(str, inherited))
+    async def _run(self, spec: InstanceSpec, handed: Handed) -> ServiceProcess:
+        inherited, command = _inherited(handed), _command(handed)
         processors = self._least_used(spec.limits.cpus)
         with contextlib.ExitStack() as stack:
             if self._sandbox is not None:
@@ -122,6 +123,15 @@ class ProcessRuntime:
             return ()
         used = Counter(number for group in self._groups if group.is_alive for number in group.processors)
         return sorted(os.sched_getaffinity(0), key=lambda number: (used[number], number))[:count]
+
+
+def _inherited(handed: Handed) -> list[int]:
+    return [end.fileno() for end in (handed.control, handed.outside) if end is not None]
+
+
+def _command(handed: Handed) -> list[str]:
+    """The command of an instance that inherits these descriptors."""
+    return module_command("upwash.real.instances.instance", *map(str, _inherited(handed)))
 
 
 class ProcessGroup:
@@ -167,6 +177,30 @@ class ProcessGroup:
     def _signal(self, number: signal.Signals) -> None:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid, number)
+
+
+class PlugInRuntime(ProcessRuntime):
+    """Runs each instance in an engine that a plug-in brings; what its code raises is an InstanceError."""
+
+    def __init__(
+        self,
+        engine: Engine,
+        listen: Callable[[InstanceSpec], str],
+        *,
+        max_message_bytes: int,
+        lead: Lead | None = None,
+    ) -> None:
+        super().__init__(listen, max_message_bytes=max_message_bytes, lead=lead)
+        self._engine = engine
+        self._is_apart = engine.is_apart
+
+    async def _run(self, spec: InstanceSpec, handed: Handed) -> ServiceProcess:
+        try:
+            return await self._engine.run(spec, _command(handed), handed)
+        except UpwashError:
+            raise
+        except Exception as error:
+            raise InstanceError(f"{spec.name} did not start: its engine failed: {worded(error)}") from error
 
 
 class OwnProcesses(ProcessRuntime):

@@ -18,11 +18,11 @@ import msgspec
 
 from upwash.core.admission.limits import DEFAULT_LIMITS, Limits
 from upwash.errors import EngineError, InstanceError
-from upwash.ports import InstanceSpec
+from upwash.ports import Handed, InstanceSpec
 from upwash.real.instances.containers import ServiceImage, container_name
 from upwash.real.instances.docker.engine import DockerEngine, last_line
 from upwash.real.instances.docker.inside import COMMAND, HANDOFF
-from upwash.real.instances.local_instance import STOP_GRACE_S, Handed
+from upwash.real.instances.local_instance import STOP_GRACE_S
 from upwash.real.instances.runtime import exit_code
 from upwash.support.background import begin, first
 
