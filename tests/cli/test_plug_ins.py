@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -20,9 +20,10 @@ from upwash.cli.main import _COMMANDS, main
 from upwash.config.daemon import read_daemon_config
 from upwash.core.camera.lens import Lens
 from upwash.core.geo import Position
-from upwash.errors import CameraError, ConfigError
+from upwash.errors import CameraError, ConfigError, InstanceError
 from upwash.launch.cameras import PlugInCamera
-from upwash.ports import Photo
+from upwash.ports import Handed, InstanceSpec, Photo, Program, ServiceProcess
+from upwash.real.instances.runtime import PlugInRuntime
 
 PAGE = ROOT / "docs" / "plug-ins.md"
 MOST_LINES = 50
@@ -308,7 +309,26 @@ def test_upwashs_own_entry_points_are_its_commands() -> None:
     assert declared == {name: f"upwash.cli.{name}" for name in _COMMANDS}
 
 
-# --- a camera in flight ---------------------------------------------------------------------------------------------
+# --- an engine that fails, and a camera in flight -----------------------------------------------------------------
+
+
+class Full:
+    enforces = ()
+    is_apart = False
+
+    async def run(self, spec: InstanceSpec, command: Sequence[str], handed: Handed) -> ServiceProcess:
+        raise OSError("no room")
+
+    async def close(self) -> None: ...
+
+
+def test_an_engine_that_fails_is_an_instance_that_does_not_start() -> None:
+    runtime = PlugInRuntime(Full(), lambda _: "127.0.0.1:0", max_message_bytes=2**20)
+    spec = InstanceSpec("s1", "emptiness", Program("fieldkit.emptiness:Emptiness"))
+    with pytest.raises(
+        InstanceError, match="emptiness@s1 did not start: its engine failed: OSError: no room"
+    ):
+        asyncio.run(runtime.start(spec, called=lambda _: None))
 
 
 class Stuck:

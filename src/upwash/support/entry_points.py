@@ -11,11 +11,13 @@ import contextlib
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from importlib.metadata import Distribution, EntryPoint, distributions
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from upwash.errors import UpwashError, UsageError
 from upwash.support.text import worded
+
+if TYPE_CHECKING:  # some 20 modules, for a program that asks for no plug-in
+    from importlib.metadata import Distribution, EntryPoint
 
 COMMANDS = "upwash.commands"
 INSTANCES = "upwash.instances"
@@ -44,7 +46,7 @@ def find(point: str, name: str) -> EntryPoint | None:
 def plug_ins(point: str) -> list[EntryPoint]:
     """What others than upwash bring at that point, in the order of the names; nothing of it is loaded."""
     found: dict[tuple[str, str], EntryPoint] = {}
-    for each in distributions(path=_installed()):
+    for each in _distributions():
         for entry in _entry_points(each, point):
             found.setdefault((entry.name, each.name), entry)  # an installation that stands later is hidden
     return [entry for (_, name), entry in sorted(found.items()) if name != "upwash"]
@@ -108,19 +110,22 @@ def summary(entry: EntryPoint) -> str:
 
 
 def _own(point: str) -> list[EntryPoint]:
-    upwash = next(iter(distributions(name="upwash", path=_installed())), None)
+    upwash = next(_distributions(name="upwash"), None)
     return _entry_points(upwash, point) if upwash else []
 
 
 def _entry_points(distribution: Distribution, point: str) -> list[EntryPoint]:
-    """Those of one distribution; none of one whose metadata cannot be read, which takes nothing else down."""
+    """The entry points of one distribution at that point; an empty list where its metadata cannot be read."""
     with contextlib.suppress(ValueError, OSError):
         if point in (distribution.read_text("entry_points.txt") or ""):
             return list(distribution.entry_points.select(group=point))
     return []
 
 
-def _installed() -> list[str]:
-    """The folders of installed distributions: what lies where the program was started is not installed."""
+def _distributions(name: str | None = None) -> Iterator[Distribution]:
+    """What is installed; what lies in the folder where the program was started is not."""
+    from importlib.metadata import distributions
+
     here = os.path.realpath(os.curdir)
-    return [place for place in sys.path if place and os.path.realpath(place) != here]
+    places = [place for place in sys.path if place and os.path.realpath(place) != here]
+    return iter(distributions(name=name, path=places))
