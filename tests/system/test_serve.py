@@ -42,6 +42,20 @@ pytestmark = pytest.mark.system
 
 Visited = Callable[..., None]
 SHUTTING_DOWN = "this edge server is shutting down"
+SLOW = """
+import os, time
+from pathlib import Path
+from upwash import service
+
+Path({loading!r}).write_text(str(os.getpid()))
+while not Path({loaded!r}).exists():
+    time.sleep(0.05)
+
+@service
+class Tool:
+    def add(self, a: int) -> int:
+        return a
+"""
 TWO_SLOTS = [{"name": "s1", "slots": 2}, {"name": "s2", "slots": 1}]
 
 
@@ -218,6 +232,29 @@ async def test_a_call_under_way_ends_before_the_daemon_does_and_new_ones_are_ref
     assert not running.done(), "a drone should fall back at once"
     await running
     assert await asyncio.to_thread(at.process.wait, 10.0) == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_counts_while_services_are_loaded_for_the_start(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    loading, loaded = tmp_path / "loading", tmp_path / "loaded"
+    (tmp_path / "slow.py").write_text(SLOW.format(loading=str(loading), loaded=str(loaded)))
+    slow = {"name": "tool", "program": f"{tmp_path}/slow.py:Tool"}
+    with started(tmp_path, config(None, service=[slow])) as process:
+        try:
+            loader = int(wait_for(lambda: loading.exists() and loading.read_text(), process=process))
+            process.send_signal(number)
+            if number == signal.SIGHUP:
+                loaded.touch()
+                at = Daemon(process, "s1, s2", tmp_path)
+                at.has_said("SIGHUP orders a reload")
+                at.process.send_signal(signal.SIGTERM)
+            assert process.wait(timeout=20.0) == 0
+            assert not is_alive(loader)
+        finally:
+            process.kill()
+            loaded.touch()
 
 
 @played("visited", "heron@s1", drain_s=60.0)

@@ -11,7 +11,7 @@ import socket
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from upwash.config.daemon import DaemonConfig
 from upwash.core.admission.admission import AdmissionController, AdmissionSettings
@@ -74,23 +74,26 @@ async def serve(
 
     `ready` gets the names of its servers and its address.
 
-    At SIGHUP the `file` of its configuration is read again. At SIGUSR2 the program on the disk takes the daemon's
-    place, as this daemon takes the place of the daemon `before`. Raises UsageError for what cannot work.
+    At SIGHUP the `file` of its configuration is read again, once the daemon is ready. At SIGUSR2 the program on the
+    disk takes the daemon's place, as this daemon takes the place of the daemon `before`. Raises UsageError for what
+    cannot work.
     """
     config_file = ConfigFile(file)
     config, digest = config_file.read()
-    if config.announce:
-        with extra("discovery"):
-            import upwash.real.network.discovery  # noqa: F401 - before anything is started
+    _require_discovery(config)
     confinement = await find_confinement(config)
     keys = DaemonKeys(config, revoked=before.revoked() if before else frozenset())
-    in_force, services = await _at_start(config, digest, confinement, keys)
     loop = asyncio.get_running_loop()
 
     def on_traffic(server: str, drone: str) -> None:  # in the door's own thread
         loop.call_soon_threadsafe(edge.seen, server, drone)
 
     async with contextlib.AsyncExitStack() as stack:
+        asked_to_go, stopped, hung_up = _signals(stack)
+        started = await _at_start(config, digest, confinement, keys, stopped)
+        if started is None:
+            return
+        in_force, services = started
         in_time = stack.enter_context(ending_in_time())
         outside = stack.enter_context(_listening(config, before)) if keys.credentials else None
         _begin_log(config, confinement, in_force)
@@ -130,7 +133,6 @@ async def serve(
             in_force=in_force,
             pass_on=before.reload if before else lambda: None,
         )
-        asked_to_go, stopped = _signals(stack, reloads)
         stack.push_async_callback(edge.close)
         await take_up(edge, before)
         answering = await stack.enter_async_context(contextlib.AsyncExitStack())
@@ -150,6 +152,7 @@ async def serve(
         for name, work in (
             ("the edge server", edge.run()),
             ("the operator's orders", reloads.run()),
+            ("reloads by SIGHUP", _reload_at(hung_up, reloads)),
             ("the watch of certificates", watch_expiry(keys)),
             ("the service manager's watchdog", manager.heartbeat()),
         ):
@@ -164,11 +167,21 @@ async def serve(
         await edge.drain(_CLOSING)
 
 
+def _require_discovery(config: DaemonConfig) -> None:
+    """Raise UsageError if the daemon is announced, and what announces it is not installed."""
+    if config.announce:
+        with extra("discovery"):
+            import upwash.real.network.discovery  # noqa: F401
+
+
 async def _at_start(
-    config: DaemonConfig, digest: str, confinement: Confinement, keys: DaemonKeys
-) -> tuple[InForce, DaemonServices]:
-    """What is in force now, and the services."""
-    services = await DaemonServices.found(config, confinement)
+    config: DaemonConfig, digest: str, confinement: Confinement, keys: DaemonKeys, stopped: asyncio.Event
+) -> tuple[InForce, DaemonServices] | None:
+    """What is in force now, and the services; None if the daemon is stopped while they are loaded."""
+    loading = DaemonServices.found(config, confinement)
+    services: DaemonServices | bool = await first(loading, stopped.wait())
+    if isinstance(services, bool):
+        return None
     in_force = InForce(keys, code=services.upwash, sandbox=confinement.kind(config))
     in_force.take(CONFIGURATION, digest)
     in_force.take(KEYS, keys.digest)
@@ -184,13 +197,20 @@ def _begin_log(config: DaemonConfig, confinement: Confinement, in_force: InForce
     warn_without_list(config)
 
 
-def _signals(stack: contextlib.AsyncExitStack, reloads: Reloads) -> tuple[asyncio.Event, asyncio.Event]:
-    """Obey signals until the stack is closed; the events tell that another daemon may come, and to end."""
-    asked_to_go, stopped = asyncio.Event(), asyncio.Event()
+def _signals(stack: contextlib.AsyncExitStack) -> tuple[asyncio.Event, asyncio.Event, asyncio.Event]:
+    """Events that signals set until the stack is closed: another daemon may come, the end, a reload."""
+    asked_to_go, stopped, hung_up = asyncio.Event(), asyncio.Event(), asyncio.Event()
     stack.enter_context(stopping_politely(lambda _: stopped.set()))
-    stack.enter_context(on_signal(signal.SIGHUP, lambda: reloads.ask("SIGHUP")))
+    stack.enter_context(on_signal(signal.SIGHUP, hung_up.set))
     stack.enter_context(on_signal(signal.SIGUSR2, asked_to_go.set))
-    return asked_to_go, stopped
+    return asked_to_go, stopped, hung_up
+
+
+async def _reload_at(hung_up: asyncio.Event, reloads: Reloads) -> NoReturn:
+    while True:
+        await hung_up.wait()
+        hung_up.clear()
+        reloads.ask("SIGHUP")
 
 
 async def _obey(reloads: Reloads, file: ConfigFile, order: str, by: str) -> Obeyed:

@@ -208,7 +208,10 @@ def main() -> None:
     os.dup2(2, 1)  # for what the services print
     look_here()
     looked = _look_at(msgspec.msgpack.decode(sys.stdin.buffer.read(), type=_Question))
-    with os.fdopen(answer, "wb") as opened:
+    with (
+        contextlib.suppress(BrokenPipeError),
+        os.fdopen(answer, "wb") as opened,
+    ):  # a killed daemon wants no answer
         opened.write(msgspec.msgpack.encode(looked))
 
 
