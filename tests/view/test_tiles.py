@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import gzip
 import json
+import os
 import re
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from pmtiles.tile import Compression, TileType, zxy_to_tileid
+from pmtiles.tile import Compression, TileType, deserialize_header, serialize_header, zxy_to_tileid
 from pmtiles.writer import Writer
 from starlette.types import ASGIApp, Message, Scope
 from tests.events import line
@@ -87,6 +89,24 @@ def test_a_url_is_told_and_only_its_images_are_allowed() -> None:
     assert found.tiles.sources == ("https://tiles.example:8443", "data:")
 
 
+def endless(file: str, view: str, columns: str, **tables: str) -> None:
+    """An MBTiles file with a view that has no last row."""
+    rows = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c)"
+    with sqlite3.connect(file) as database:
+        database.execute(f"CREATE VIEW {view} AS {rows} SELECT {columns} FROM c")
+        for name, those in tables.items():
+            database.execute(f"CREATE TABLE {name} ({those})")
+    database.close()
+
+
+def inflated(file: Path) -> None:
+    """Gives the file metadata of 4 MB, packed into some kilobytes."""
+    header = deserialize_header(file.read_bytes()[:127])
+    packed = gzip.compress(json.dumps({"attribution": " " * 2**22}).encode())
+    header["metadata_offset"], header["metadata_length"] = file.stat().st_size, len(packed)
+    file.write_bytes(serialize_header(header) + file.read_bytes()[127:] + packed)
+
+
 @pytest.mark.parametrize(
     ("source", "why"),
     [
@@ -95,7 +115,11 @@ def test_a_url_is_told_and_only_its_images_are_allowed() -> None:
         ("https://tiles.example/{z}/{x}/{y}.png\nX: y", "no address of map tiles"),
         ("file:///{z}/{x}/{y}.png", "is no map: give a folder"),
         ("missing.mbtiles", "there is no file"),
-        ("missing.pmtiles", "cannot be read: No such file"),
+        ("missing.pmtiles", "there is no file"),
+        ("pipe.mbtiles", "there is no file"),
+        ("endless_names.mbtiles", "its tables do not end"),
+        ("endless_tiles.mbtiles", "its tables do not end"),
+        ("inflated.pmtiles", "a part has more than 1048576 bytes"),
         ("text.mbtiles", "is no MBTiles file"),
         ("text.pmtiles", "is no PMTiles file"),
         (".", "has no map tiles"),
@@ -110,6 +134,10 @@ def test_what_is_no_map_is_refused(
         Path(name).write_text("no map at all, and longer than the header of any of them " * 9)
     Path("vector").mkdir()
     pmtiles(Path("vector"), TileType.MVT)
+    os.mkfifo("pipe.mbtiles")
+    endless("endless_names.mbtiles", "metadata", "x AS name, x AS value", tiles="zoom_level")
+    endless("endless_tiles.mbtiles", "tiles", "x AS zoom_level", metadata="name, value")
+    inflated(pmtiles(Path()).rename("inflated.pmtiles"))
     with pytest.raises(UsageError, match=re.escape(why)):
         base_map(read_map(source))
 
@@ -143,7 +171,7 @@ def test_the_program_of_the_page_serves_its_tiles_and_no_other_file(tmp_path: Pa
     app = application(Feed([]), PhotoShelf(None), beneath)
     z, (x, y) = 17, AT_HOME[17]
     assert asked_for(app, f"/tiles/{z}/{x}/{y}") == (200, "image/png", tiles()[z, x, y])
-    for missing in (f"{z}/1/1", f"{z}/{x}/1", f"29/{x}/{y}"):
+    for missing in (f"{z}/1/1", f"{z}/{x}/1", f"29/{x}/{y}", f"{z}/{10**300}/{y}", f"{10**300}/{x}/{y}"):
         assert asked_for(app, f"/tiles/{missing}") == (204, "", b"")
     assert asked_for(app, f"/tiles/{z}/../../secret")[0] == 404
 
@@ -189,3 +217,7 @@ def test_a_report_has_its_map_in_it_and_refuses_one_of_elsewhere(
     )
     assert "refers to no other machine" in capsys.readouterr().err
     assert main(["report", str(log), "-o", str(map_file), "--tiles", str(map_file)]) == 2
+    elsewhere = folder_with({(14, 1, 1): picture(0, 0, 0)}, tmp_path / "elsewhere")
+    capsys.readouterr()
+    assert main(["report", str(log), "-o", str(made), "--tiles", str(elsewhere)]) == 2
+    assert "no tile around the flights" in capsys.readouterr().err

@@ -85,7 +85,7 @@ def application(feed: Feed, photos: PhotoShelf, beneath: BaseMap | None = None) 
     async def tile(request: Request) -> Response:
         z, x, y = (request.path_params[name] for name in "zxy")
         found = None
-        if beneath is not None and beneath.find is not None and z <= beneath.tiles.to_zoom:
+        if beneath and beneath.find and z <= beneath.tiles.to_zoom and max(x, y) < 2**z:
             found = await asyncio.to_thread(beneath.find, z, x, y)
         if found is None or (kind := kind_of(found)) is None:
             return Response(status_code=204)  # beyond the map's border there is nothing, which is no error

@@ -11,6 +11,7 @@ import math
 import re
 import sqlite3
 import threading
+import zlib
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -25,9 +26,11 @@ from upwash.support.loading import extra
 _URL = re.compile(r"(https?://[A-Za-z0-9.-]+(?::\d+)?)/[^\s\"'<>]*")
 _SERVED = "tiles/{z}/{x}/{y}"  # by the page's own program
 _MOST_ZOOM = 30
-_MOST_BYTES = 2**20  # of a tile, and of a directory of tiles
+_MOST_BYTES = 2**20  # of a tile, and of a directory of tiles, inflated too
+_MOST_STEPS = 50_000_000  # of SQLite for one question, as a view may have no end: a second or two
 # The kinds of pictures by their first bytes.
 _KINDS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp"}
+_GZIP = b"\x1f\x8b"
 _SUFFIXES = ("png", "jpg", "jpeg", "webp")
 _AT_ONCE, _OVERVIEW = 16, 15  # of the first zoom that a document has: the most tiles, and the zoom
 _MOST_INLINED = 2_000
@@ -76,6 +79,8 @@ def base_map(source: Path | str, credit: str = "") -> BaseMap:
             f"{source} is no map: give a folder with tiles as ZOOM/X/Y.png, a file .mbtiles or .pmtiles, or "
             "https://HOST/{z}/{x}/{y}.png"
         )
+    if not source.is_dir() and not source.is_file():
+        raise UsageError(f"there is no file {source}")
     try:
         find, from_zoom, to_zoom, own_credit = opener(source)
     except OSError as error:
@@ -104,22 +109,26 @@ def _folder(folder: Path) -> _Opened:
                 contextlib.suppress(OSError),
                 (folder / str(z) / str(x) / f"{y}.{suffix}").open("rb") as file,
             ):
-                return _bounded(file.read(_MOST_BYTES + 1))
+                tile = file.read(_MOST_BYTES + 1)
+                return tile if len(tile) <= _MOST_BYTES else None
         return None
 
     return find, zooms[0], zooms[-1], ""
 
 
 def _mbtiles(file: Path) -> _Opened:
-    if not file.exists():
-        raise UsageError(f"there is no file {file}")
     lock = threading.Lock()
     try:
         database = sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True, check_same_thread=False)
-        said = {str(name): str(value) for name, value in database.execute("SELECT name, value FROM metadata")}
-        low, high = database.execute("SELECT min(zoom_level), max(zoom_level) FROM tiles").fetchone()
+        database.set_progress_handler(lambda: True, _MOST_STEPS)
+        named = "SELECT name, value FROM metadata WHERE name IN ('format', 'attribution') LIMIT 2"
+        said = {str(name): str(value) for name, value in database.execute(named)}
+        # Apart, as SQLite takes one end from an index, and both from all tiles.
+        ends = "SELECT (SELECT min(zoom_level) FROM tiles), (SELECT max(zoom_level) FROM tiles)"
+        low, high = database.execute(ends).fetchone()
     except sqlite3.Error as error:
-        raise UsageError(f"{file} is no MBTiles file: {error}") from error
+        why = "its tables do not end" if str(error) == "interrupted" else error
+        raise UsageError(f"{file} is no MBTiles file: {why}") from error
     if said.get("format", "png") == "pbf":
         raise UsageError(_vector(file))
     if low is None or not isinstance(low, int) or not isinstance(high, int):
@@ -128,10 +137,11 @@ def _mbtiles(file: Path) -> _Opened:
     def find(z: int, x: int, y: int) -> bytes | None:
         with lock, contextlib.suppress(sqlite3.Error):
             row = database.execute(
-                "SELECT tile_data FROM tiles WHERE zoom_level = ? AND tile_column = ? AND tile_row = ?",
-                (z, x, 2**z - 1 - y),
+                "SELECT tile_data FROM tiles WHERE zoom_level = ? AND tile_column = ? AND tile_row = ? "
+                "AND length(tile_data) <= ?",
+                (z, x, 2**z - 1 - y, _MOST_BYTES),
             ).fetchone()
-            return _bounded(row[0]) if row and isinstance(row[0], bytes) else None
+            return row[0] if row and isinstance(row[0], bytes) else None
         return None
 
     return find, low, high, said.get("attribution", "")
@@ -147,7 +157,13 @@ def _pmtiles(file: Path) -> _Opened:
     def read(offset: int, length: int) -> bytes:
         if length > _MOST_BYTES:
             raise ValueError(f"a part of {length} bytes is more than the {_MOST_BYTES} that are read")
-        return bytes(content(offset, length))
+        part = bytes(content(offset, length))
+        if part.startswith(_GZIP):
+            inflating = zlib.decompressobj(zlib.MAX_WBITS | 16)
+            inflating.decompress(part, _MOST_BYTES)
+            if not inflating.eof or inflating.unused_data:
+                raise ValueError(f"a part has more than {_MOST_BYTES} bytes, or its end is damaged")
+        return part
 
     reader = Reader(read)
     try:
@@ -169,10 +185,6 @@ def _pmtiles(file: Path) -> _Opened:
 
 def _vector(file: Path) -> str:
     return f"{file} has no pictures: the page shows tiles in PNG, JPEG or WebP, and no vector tiles"
-
-
-def _bounded(tile: bytes) -> bytes | None:
-    return tile if len(tile) <= _MOST_BYTES else None
 
 
 def inlined(
@@ -198,6 +210,11 @@ def inlined(
             break
         kept |= urls
         to_zoom = zoom
+    if not kept:
+        raise UsageError(
+            "the map has no tile around the flights: it is of another place, the logs have no mission.home, or the "
+            "folder counts its rows from the south, as TMS does (gdal2tiles: give it --xyz)"
+        )
     return Tiles("", found.tiles.credit, first, to_zoom), kept
 
 
