@@ -92,10 +92,16 @@ def test_flights_are_compared_by_their_logs(tmp_path: Path, capsys: pytest.Captu
     capsys.readouterr()
     assert main(["compare", *map(str, logs)]) == 0
     told = capsys.readouterr().out.splitlines()
-    rows = {name: values for name, *values in (re.split(" {2,}", line.strip()) for line in told)}
+    rows = {name: values for name, *values in (re.split(" *[|] *", line.strip("| ")) for line in told)}
     assert rows["policy"] == ["look-ahead", "local-only"]
     quick_s, slow_s = (float(time.removesuffix(" s")) for time in rows["mission time"])
     assert told[-1].startswith(f"look-ahead took {slow_s - quick_s:.1f}\u00a0s less than local-only")
+
+    renamed = [log.rename(log.with_suffix(".log")) for log in logs]
+    assert main(["compare", *map(str, renamed), "--markdown"]) == 0
+    told = capsys.readouterr().out.splitlines()
+    assert "|  | look-ahead | local-only |" in told
+    assert f"| mission time | {quick_s:.1f} s | {slow_s:.1f} s |" in told
 
 
 @pytest.mark.parametrize("more", [["--policy", "look-ahead"], ["--worlds", "3"], [str(SCENARIO)]])

@@ -17,6 +17,7 @@ from upwash.core.admission.admission import AdmissionController
 from upwash.core.admission.clients import Client, DoorStatus, Role
 from upwash.core.admission.limits import Limits
 from upwash.core.admission.server import ServerOffer
+from upwash.errors import Unreachable
 from upwash.rpc.protocol import StatusReply, decode_reply
 
 ALICE = Client("alice", "0c", role=Role.OPERATOR)
@@ -141,17 +142,18 @@ def test_of_many_drones_the_latest_are_shown() -> None:
 def test_a_daemon_is_asked_again_until_the_watch_is_stopped(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    replies = [StatusReply(up_s, [], [], []) for up_s in (5.0, 10.0)]
+    up = [StatusReply(up_s, [], [], []) for up_s in (5.0, 10.0)]
+    replies: list[StatusReply | BaseException] = [
+        up[0], Unreachable("it restarts"), up[1], KeyboardInterrupt(),
+    ]  # fmt: skip
 
     async def ask(address: str, **_: object) -> StatusReply:
-        if not replies:
-            raise KeyboardInterrupt
-        return replies.pop(0)
+        if isinstance(reply := replies.pop(0), BaseException):
+            raise reply
+        return reply
 
     monkeypatch.setattr("upwash.cli.status.ask_status", ask)
     monkeypatch.setattr("upwash.cli.status._WATCH_S", 0.0)
     assert main(["status", "127.0.0.1:1", "--watch"]) == ExitCode.INTERRUPTED
-    assert [line for line in capsys.readouterr().out.splitlines() if "up for" in line] == [
-        "up for 5 s",
-        "up for 10 s",
-    ]
+    said = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    assert [line for line in said if line] == ["up for 5 s", "it restarts", "up for 10 s"]

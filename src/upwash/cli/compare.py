@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 from rich.console import Console
 from rich.table import Column, Table
@@ -53,7 +55,7 @@ ARGUMENTS = {
 
 def run(options: argparse.Namespace) -> None:
     """Fly them all with a progress bar, and print the results; in Markdown where no person reads them."""
-    if any(file.suffix == _LOG for file in options.scenarios):
+    if any(map(_is_log, options.scenarios)):
         _compare_flights(options)
         return
     if not any((options.scenarios, options.thesis, options.worlds, options.surveys)):
@@ -73,7 +75,7 @@ def run(options: argparse.Namespace) -> None:
             progress=lambda done, total: progress(total=total),
         )
     console = Console(markup=False, highlight=False)
-    if options.markdown or not console.is_terminal:
+    if _is_for_programs(options, console):
         console.print("\n".join(in_markdown(rows)), soft_wrap=True)
     else:
         print_tables(rows, console)
@@ -91,19 +93,35 @@ def _compare_flights(options: argparse.Namespace) -> None:
         options.settings,
         options.figures,
     )
-    if any(others) or any(file.suffix != _LOG for file in options.scenarios):
+    if any(others) or not all(map(_is_log, options.scenarios)):
         raise UsageError("logs are compared as they are: name logs alone, without options that fly missions")
     records = read_records(logs_among(options.scenarios))
+    names = [record.name for record in records]
+    rows = list(total_rows([record.result for record in records]))
     console = Console(markup=False, highlight=False)
     say(verdict(records), console)
-    table = Table(
-        "", *(Column(Text(record.name), overflow="fold") for record in records), box=None, padding=(0, 1)
-    )
-    for name, values in total_rows([record.result for record in records]):
-        table.add_row(name, *map(Text, values))
-    show_table(table, console)
+    if _is_for_programs(options, console):
+        lines = (*_heading("", *names), *(_line(name, *values) for name, values in rows))
+        console.print("", *lines, "", sep="\n", soft_wrap=True)
+    else:
+        table = Table("", *(Column(Text(name), overflow="fold") for name in names), box=None, padding=(0, 1))
+        for name, values in rows:
+            table.add_row(name, *map(Text, values))
+        show_table(table, console)
     for difference in differences(records):
         say(in_words(difference), console)
+
+
+def _is_log(file: Path) -> bool:
+    """Whether the file is an event log: it is named as one, or begins as no TOML begins."""
+    if file.suffix == _LOG or not file.is_file():
+        return file.suffix == _LOG
+    with file.open("rb") as opened:
+        return opened.read(1) == b"{"
+
+
+def _is_for_programs(options: argparse.Namespace, console: Console) -> bool:
+    return options.markdown or not console.is_terminal
 
 
 def _draw(rows: Sequence[ComparedPolicy], figures: FigureFiles) -> None:

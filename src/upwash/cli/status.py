@@ -26,7 +26,7 @@ from upwash.core.admission.clients import (
     TeamUsage,
 )
 from upwash.core.admission.limits import Limits
-from upwash.errors import UsageError
+from upwash.errors import LinkError, UsageError
 from upwash.launch.in_force import clock_state
 from upwash.launch.status import ask_each, ask_status
 from upwash.real.trust.credentials import at_second
@@ -79,9 +79,15 @@ def run(options: argparse.Namespace) -> bool:
 
 
 def _ask(options: argparse.Namespace, console: Console) -> bool:
-    reply = asyncio.run(
-        ask_status(options.address, server=options.server, operator=options.operator, keys=options.keys)
-    )
+    asked = ask_status(options.address, server=options.server, operator=options.operator, keys=options.keys)
+    try:
+        reply = asyncio.run(asked)
+    except LinkError as error:
+        if not options.watch:
+            raise
+        console.clear()
+        say(Text(str(error), style="bold red"), console)
+        return False
     if options.json:
         announce(msgspec.json.encode(reply).decode())
         return True
