@@ -32,7 +32,7 @@ def config(world: str, **tables: Any) -> DroneConfig:
 
 
 def searched(
-    time_s: Callable[[float], float], *limits_m_s: float, most: int = 12
+    time_s: Callable[[float], float], *limits_m_s: float, most: int = 12, rows_m: float = ROWS_M
 ) -> tuple[float, list[float]]:
     """The speed chosen where missions take these times, and all that were tried."""
     tried: list[float] = []
@@ -44,13 +44,13 @@ def searched(
             mission_s=time_s(speed_m_s),
             rows=(),
             stops=0,
-            waited_s=time_s(speed_m_s) - ROWS_M / speed_m_s,
+            waited_s=time_s(speed_m_s) - rows_m / speed_m_s,
             turns_back=0,
             keeps_up=True,
         )
 
     limits = [SpeedLimit("a rule", limit_m_s) for limit_m_s in limits_m_s]
-    return choose_speed(limits, forecast, rows_m=ROWS_M, most=most).ground_speed_m_s, tried
+    return choose_speed(limits, forecast, rows_m=rows_m, most=most).ground_speed_m_s, tried
 
 
 @pytest.mark.parametrize("limits_m_s", [(8.34, 12.0), (12.0, 8.34), (0.0567,)])
@@ -78,6 +78,12 @@ def test_of_speeds_as_quick_the_lowest_is_chosen() -> None:
     speed_m_s, tried = searched(lambda speed_m_s: max(400.0, ROWS_M / speed_m_s), 10.0)
     assert 2.5 <= speed_m_s <= 3.0
     assert min(tried) >= 0.9 * 2.5, "slower, the rows alone take longer"
+
+
+@pytest.mark.parametrize("rows_m", [0.0, 1e-9])
+def test_rows_without_length_have_a_speed(rows_m: float) -> None:
+    speed_m_s, tried = searched(lambda speed_m_s: 100.0, 8.0, rows_m=rows_m)
+    assert speed_m_s == min(tried) >= 0.1
 
 
 def test_the_missions_are_flown_in_the_world_that_the_drone_believes_in() -> None:

@@ -152,11 +152,14 @@ def choose_speed(
         return True
 
     def least_m_s() -> float:
-        """The least speed worth a try: below it the rows alone take longer than the shortest mission until now."""
-        return rows_m / min(one.mission_s for one in found.values())
+        """The least speed worth a try: below it the rows alone take longer than the shortest mission until now.
+
+        Rows may have no length.
+        """
+        return max(min(top_m_s, _STEP_M_S), rows_m / min(one.mission_s for one in found.values()))
 
     if found[top_m_s].is_held_up:
-        low_m_s = max(least_m_s(), min(top_m_s, _STEP_M_S))
+        low_m_s = least_m_s()
         steps = math.log(low_m_s / top_m_s) / math.log(_RATIO)
         ratio = (low_m_s / top_m_s) ** (1 / max(1.0, min(math.floor(steps), most // 2)))
         speed_m_s = top_m_s * ratio

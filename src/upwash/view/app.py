@@ -31,6 +31,7 @@ _POLICY = (
     f"{sources()}; img-src 'self' data:"
 )
 _KEPT_CROPS = 256
+_LONGEST_PATH = 1_000  # characters: Python reads no number of more than 4,300 digits
 _HANGS_UP = {"Connection": "close"}
 _HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -135,6 +136,8 @@ class _OwnHost:
             app = Response("this page is another machine's", status_code=421, headers=_HANGS_UP)
         elif not _is_own(headers, hosts[0]):
             app = Response("another page may not ask for this", status_code=403, headers=_HANGS_UP)
+        elif len(scope["path"]) > _LONGEST_PATH:
+            app = Response("there is nothing at so long a path", status_code=404, headers=_HANGS_UP)
         await app(scope, receive, send)
 
 
