@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -102,8 +103,8 @@ def _named(key: tuple[str, int, str]) -> str:
 
 
 def in_seconds(mean: Mean) -> str:
-    """The mean with what is sure of it, on one line."""
-    margin = f"{_APART}±{_APART}{mean.margin:.1f}" if mean.count > 1 else ""
+    """The mean with its confidence, on one line; equal missions, as those without [noise], have none."""
+    margin = f"{_APART}±{_APART}{mean.margin:.1f}" if 0 < mean.margin < math.inf else ""
     return f"{mean.value:z.1f}{margin}{_APART}s"
 
 
