@@ -27,7 +27,7 @@ async def test_an_order_is_obeyed_with_the_name_of_who_gave_it_and_answered() ->
     ((order, by),) = heard
     assert order == "reload"
     assert by.startswith(f"process {os.getpid()} of user ")
-    with pytest.raises(UsageError, match="takes no orders"):
+    with pytest.raises(UsageError, match=r"takes no orders .*wait until it is ready"):
         await asyncio.to_thread(give_order, os.getpid(), "reload")
 
 

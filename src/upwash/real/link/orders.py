@@ -118,8 +118,8 @@ def give_order(process: int, order: str) -> Obeyed:
             to.connect(_address(process))
         except OSError as error:
             raise UsageError(
-                f"process {process} takes no orders ({error.strerror}): give the number of a daemon's process, "
-                "which systemctl show --property MainPID upwash prints"
+                f"process {process} takes no orders ({error.strerror}): if it is a daemon, wait until it is "
+                "ready; else give the number of one, which systemctl show --property MainPID upwash prints"
             ) from None
         if _who(to)[0] != process:
             raise UsageError(f"another process answers in the place of process {process}: give it no orders")
