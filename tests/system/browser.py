@@ -93,6 +93,11 @@ class Browser:
             self.run("arguments[0].scrollIntoView({block: 'center'})", each)
             each.click()
 
+    def open_tab(self, name: str) -> None:
+        """Opens a tab of what is beside the map: now, findings, servers, why, drones or flights."""
+        self.click(f"#tab-{name}:not([aria-selected='true'])")
+        self.drawn()
+
     def text(self, selector: str) -> str:
         """What the first element of that selector says, seen or not."""
         return str(self.run("return document.querySelector(arguments[0])?.textContent ?? ''", selector))

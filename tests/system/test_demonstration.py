@@ -170,19 +170,17 @@ def check_is_shown(page: Browser, address: str) -> None:
 def check_was_shown(page: Browser, address: str, result: RunResult) -> None:
     """The page that is left open has what came of the flight."""
     page.wait_until(lambda: "has ended" in page.text("#connection"))
-    page.click(".delays summary")
-    page.wait_until(
-        lambda: page.rows(".delays")
-    )  # the browser tells the page of the click when it gets to it
-    assert [row[4] for row in page.rows(".delays")] == [f"{call.delay_s:.2f} s" for call in result.calls]
+    page.open_tab("why")
+    page.wait_until(lambda: page.rows(".calls-table"))
+    assert [row[4] for row in page.rows(".calls-table")] == [f"{call.delay_s:.2f} s" for call in result.calls]
     assert f"the mission took {clock(result.mission_time_s)}" in page.text(".summary")
     assert page.errors() == []
     assert page.elsewhere(address) == []
 
 
 def shown_calls(page: Browser) -> int:
-    """How many calls the chart shows."""
-    label = page.find(".chart canvas").get_attribute("aria-label") or ""
+    """How many calls the lanes show."""
+    label = page.find(".lanes canvas").get_attribute("aria-label") or ""
     counted = re.search(r"(\d+) calls", label)
     return int(counted[1]) if counted else 0
 

@@ -75,22 +75,26 @@ def test_findings_are_reviewed_by_keyboard_alone(page: Browser, address: str, lo
     page.wait_until(lambda: page.text(".tally") == "3 of 4 reviewed, 1 rejected")
     page.wait_until(lambda: page.text(".sentence").startswith("3 findings: 2 hot-spots, 1 x "))
     assert HOSTILE in page.text(".finds"), "as text"
-    assert page.each(".finds .number", "each.textContent") == ["3", "2", "1"]
+    assert page.each(".finds .number", "each.textContent") == ["2", "3", "4"]
     assert [(each.number, each.finding.what) for each in kept(log).objects] == [
-        (1, "hot-spot"),
-        (2, HOSTILE),
-        (3, "hot-spot"),
+        (2, "hot-spot"),
+        (3, HOSTILE),
+        (4, "hot-spot"),
     ]
     press(page, "u", "u", "u")
     page.wait_until(lambda: not any(each.is_reviewed for each in kept(log).everything))
-    page.wait_until(lambda: page.text(".finds [aria-current] .number") == "4")
+    page.wait_until(lambda: page.text(".finds [aria-current] .number") == "1")
+    press(page, Keys.ARROW_DOWN, Keys.ARROW_DOWN, Keys.ARROW_UP)
+    assert page.driver.switch_to.active_element.text.startswith("2 "), "arrows go through the list"
+    assert page.each(".finds button", "each.tabIndex") == [-1, 0, -1, -1], "Tab leaves it at once"
     assert page.violations() == []
     assert page.errors() == []
 
 
 def test_findings_are_reviewed_by_touch_on_a_phone(page: Browser, address: str, log: Path) -> None:
     opened(page, address, width=390)
-    assert page.too_small(".review button, .review summary, .review .all", least_px=44) == []
+    page.open_tab("findings")
+    assert page.too_small(".findings button, .findings summary, .findings select", least_px=44) == []
 
     def tap(selector: str) -> None:
         page.run("document.querySelector(arguments[0]).scrollIntoView({block: 'center'})", selector)
@@ -106,12 +110,12 @@ def test_findings_are_reviewed_by_touch_on_a_phone(page: Browser, address: str, 
     page.driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
     try:
         tap(".finds li:nth-child(2) button")
-        page.wait_until(lambda: page.text(".review .target").startswith("3 "))
-        tap(".verdicts button:nth-child(2)")
         page.wait_until(lambda: page.text(".review .target").startswith("2 "))
+        tap(".verdicts button:nth-child(2)")
+        page.wait_until(lambda: page.text(".review .target").startswith("3 "))
         tap(".verdicts button:nth-child(1)")
         page.wait_until(lambda: page.text(".tally") == "2 of 4 reviewed, 1 rejected")
-        tap(".review .all")
+        page.find(".choice [aria-label=Review]").send_keys("all")
         page.wait_until(lambda: len(page.all(".finds li")) == 4)
         tap(".more summary")
         assert page.width() <= 390
@@ -131,9 +135,9 @@ def test_what_comes_while_a_person_reviews_takes_nothing_out_of_their_hand(
         grown.write(notified(4))
     page.wait_until(lambda: page.text(".tally") == "0 of 5 reviewed")
     press(page, "note", Keys.ENTER)
-    page.wait_until(lambda: [each.note for each in kept(log).everything] == ["", "", "", "half a note", ""])
-    assert page.text(".review .target").startswith("4 ")
-    (review,) = kept(log).everything[3].reviews
+    page.wait_until(lambda: [each.note for each in kept(log).everything] == ["half a note", "", "", "", ""])
+    assert page.text(".review .target").startswith("1 ")
+    (review,) = kept(log).everything[0].reviews
     append_review(log, replace(review, note="another hand"))
     page.wait_until(lambda: "another hand" in page.text(".finds"))  # so the program has read the file
     review_file(log).unlink()
@@ -158,7 +162,7 @@ def test_a_page_that_was_mailed_offers_its_reviews_as_a_file(page: Browser, log:
     page.click(".made a")
     page.wait_until((folder / "f.review.jsonl").exists)
     review_file(log).write_bytes((folder / "f.review.jsonl").read_bytes())
-    third, fourth = kept(log).everything[2:]
-    assert (third.is_reviewed, third.note, fourth.is_rejected) == (False, "look again", True)
+    first, second = kept(log).everything[:2]
+    assert (first.is_rejected, second.is_reviewed, second.note) == (True, False, "look again")
     assert page.text(".tally") == "1 of 4 reviewed, 1 rejected"
     assert page.errors() == []

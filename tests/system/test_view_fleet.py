@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -77,17 +78,19 @@ def opened(page: Browser, address: str, *, width: int = 1280, scheme: str = "lig
     """Opens the page, and waits until all of the flights is there, and drawn."""
     page.open(address, width=width, scheme=scheme)
     page.wait_until(
-        lambda: (
-            sum(map(bool, page.each(".summary", "each.textContent"))) == 3
-            and not page.text("#clock").endswith("0:00")
-        )
+        lambda: page.text(".of-drones [role=status]") and not page.text("#clock").endswith("0:00")
     )
 
 
 def in_focus(page: Browser) -> str:
     """The name of the drone whose details are to be seen."""
-    (heading,) = [element.text for element in page.all(".flight h2") if element.is_displayed()]
-    return str(heading.split()[-1])
+    return page.text(".of-now h2").split()[-1]
+
+
+def listed(page: Browser) -> list[list[str]]:
+    """What the list says of each drone: its name, state and battery, what it does, and how far it is."""
+    parts = "[...each.querySelectorAll('button, .state, .percent, p')].map((part) => part.textContent.trim())"
+    return page.each(".drones li", parts)
 
 
 def on_the_map(page: Browser) -> list[tuple[float, float]]:
@@ -100,24 +103,23 @@ def test_every_drone_is_listed_at_the_same_moment_of_one_clock(page: Browser, fl
     opened(page, fleet)
     assert " / 0:31 · " in page.text("#clock"), "to the end of the last mission, and the time of day"
     page.seek(6.8)
-    assert page.rows(".drones") == [
-        ["1 drone-1", "PROGRAM at waypoint 1", "2 of 5", "s1 ready", "2, 1 on servers", "1.5 s", "88 %"],
-        ["2 drone-2", "PROGRAM at waypoint 0", "1 of 5", "s1 joining", "1, 0 on servers", "0.0 s", "88 %"],
-        [
-            "3 drone-3",
-            "WAITING starting the services of the drone",
-            "0 of 5",
-            "none",
-            "0, 0 on servers",
-            "",
-            "",
-        ],
+    far = [
+        "2 of 5 waypoints · s1 ready · 2 calls, 1 on servers · 1.5 s saved",
+        "1 of 5 waypoints · s1 joining · 1 call, 0 on servers · 0.0 s saved",
+        "0 of 5 waypoints · no server · 0 calls, 0 on servers",
     ]
+    assert listed(page) == [
+        ["1 drone-1", "PROGRAM", "88 %", "at waypoint 1", far[0]],
+        ["2 drone-2", "PROGRAM", "88 %", "at waypoint 0", far[1]],
+        ["3 drone-3", "WAITING", "", "starting the services of the drone", far[2]],
+    ]
+    chips = "[...each.children].map((part) => part.textContent)"
+    assert page.each(".chips button", chips)[1] == ["2", "drone-2", "PROGRAM", "88 %"]
     assert [element.text for element in page.all(".users .badge")] == ["1", "2"], "who uses s1"
     assert "checking" in (page.all(".users .badge")[1].get_attribute("class") or "")
     page.seek(31.0)
     assert (
-        page.text(".list [role=status]")
+        page.text(".of-drones [role=status]")
         == "3 of 3 missions were completed: in 0:22 on average, 0:23 at most."
     )
     assert page.errors() == []
@@ -145,12 +147,7 @@ def test_a_drone_is_looked_at_by_click_by_number_and_on_the_map(page: Browser, f
     assert pressed == ["false", "true", "false"]
     ActionChains(page.driver).send_keys("3").perform()
     page.wait_until(lambda: in_focus(page) == "drone-3")
-    labels = [
-        element.get_attribute("aria-label") or ""
-        for element in page.all(".chart canvas")
-        if element.is_displayed()
-    ]
-    assert "drone-3" in labels[0]
+    assert "drone-3" in (page.find(".lanes canvas").get_attribute("aria-label") or "")
     ActionChains(page.driver).send_keys("9").perform()
     page.find(".drone.drone-1").click()
     page.wait_until(lambda: in_focus(page) == "drone-1")
@@ -176,15 +173,17 @@ def test_a_click_on_another_drones_finding_shows_that_drone_and_its_photo(
     with view_of(*logs) as address:
         opened(page, address)
         assert in_focus(page) == "drone-1"
-        assert page.each(".finds .number", "each.textContent") == ["3", "2", "1"]
+        page.open_tab("findings")
+        assert page.each(".finds .number", "each.textContent") == ["1", "2", "3"]
         page.click(".finds li:nth-child(2) button")
         page.wait_until(lambda: in_focus(page) == "drone-2")
         page.drawn()
         assert page.text(".finds [aria-current] .number") == "2"
-        (said,) = [each.text for each in page.all(".photos p:first-of-type") if each.is_displayed()]
+        said = page.text(".photos p")
         assert said.startswith("Photo 1, at waypoint 4, ")
         assert said.endswith("Finding 2: crack 2.")
         assert page.moment() == APART_S + 18, "the second drone's, by the clock of all"
+        page.open_tab("now")
         page.wait_until(
             lambda: [each.text for each in page.all(".boxes text") if each.is_displayed()] == ["2 crack 2"]
         )
@@ -204,7 +203,7 @@ def test_the_bar_of_a_fleet_has_the_worst_state_whichever_drone_is_in_focus(
         log.write_bytes(b"".join(events))
     with view_of(*logs) as address:
         page.open(address)
-        page.wait_until(lambda: len(page.rows(".drones")) == 3 and not page.text("#clock").endswith("0:00"))
+        page.wait_until(lambda: len(listed(page)) == 3 and not page.text("#clock").endswith("0:00"))
         page.seek(15.0)
         for key in "123":
             page.find("body").send_keys(key)
@@ -215,9 +214,10 @@ def test_the_bar_of_a_fleet_has_the_worst_state_whichever_drone_is_in_focus(
             )
             assert "alarm" in (page.find(".bar").get_attribute("class") or "")
             assert page.text(".aside").startswith(f"drone-{key} · ")
-        chips = page.each(".drones tbody .state", "[each.textContent, each.classList[1]]")
-        assert chips == [["PROGRAM", "program"], ["PILOT", "person"], ["FAIL-SAFE", "alarm"]]
-        assert page.each(".drones td:last-child", "each.className") == ["low"] * 3
+        for part in (".drones", ".chips"):
+            chips = page.each(f"{part} .state", "[each.textContent, each.classList[1]]")
+            assert chips == [["PROGRAM", "program"], ["PILOT", "person"], ["FAIL-SAFE", "alarm"]]
+            assert page.each(f"{part} .percent", "each.classList.contains('low')") == [True] * 3
         assert page.violations() == []
 
 
@@ -253,9 +253,10 @@ def test_nothing_is_cut_off_and_axe_finds_nothing_wrong(
 
 def test_the_keyboard_reaches_every_drone(page: Browser, fleet: str) -> None:
     opened(page, fleet)
+    page.find(".fit").send_keys("")  # the map's last button, before the chips
     for name in ("drone-1", "drone-2", "drone-3"):
         ActionChains(page.driver).send_keys(Keys.TAB).perform()
-        assert page.driver.switch_to.active_element.text.split()[-1] == name
+        assert name in page.driver.switch_to.active_element.text
     ActionChains(page.driver).send_keys(Keys.ENTER).perform()
     page.wait_until(lambda: in_focus(page) == "drone-3")
 
@@ -268,7 +269,7 @@ def test_flights_of_different_days_begin_at_the_same_moment(page: Browser, tmp_p
         opened(page, address)
         assert page.text("#clock").endswith(" / 0:23")
         page.seek(1.0)
-        assert [row[1] for row in page.rows(".drones")] == ["PROGRAM at waypoint 0"] * 3
+        assert [row[1:4:2] for row in listed(page)] == [["PROGRAM", "at waypoint 0"]] * 3
 
 
 def test_flights_that_have_yet_to_begin_are_shown_as_they_go_on(page: Browser, tmp_path: Path) -> None:
@@ -277,13 +278,13 @@ def test_flights_that_have_yet_to_begin_are_shown_as_they_go_on(page: Browser, t
         log.touch()
     with view_of(*logs) as address:
         page.open(address)
-        page.wait_until(lambda: len(page.rows(".drones")) == 2)
+        page.wait_until(lambda: len(listed(page)) == 2)
         logs[0].write_bytes(_not_over(today(flight(1))))
-        page.wait_until(lambda: page.rows(".drones")[0][2] == "5 of 5")
-        assert page.rows(".drones")[1][1] == "WAITING waiting for the log to begin"
+        page.wait_until(lambda: listed(page)[0][4].startswith("5 of 5"))
+        assert listed(page)[1][1:4:2] == ["WAITING", "waiting for the log to begin"]
         assert page.text("#mode") not in {"", "playback"}, "the first goes on"
         logs[1].write_bytes(today(flight(2)))
-        page.wait_until(lambda: page.rows(".drones")[1][2] == "5 of 5")
+        page.wait_until(lambda: listed(page)[1][4].startswith("5 of 5"))
         assert " / 0:26 · " in page.text("#clock")
         assert page.errors() == []
 
@@ -316,8 +317,12 @@ def test_the_last_state_of_a_flight_without_news_is_not_told_as_its_state_now(
         page.open(address)
         page.wait_until(lambda: page.text(".who") == "NO NEWS")
         assert "alarm" in (page.find(".bar").get_attribute("class") or "")
-        assert page.text(".aside") == "0:16 last heard: PROGRAM · at waypoint 4"
-        assert not page.find(".tiles").text
+        assert page.text(".aside") == "last heard at 0:16: PROGRAM · at waypoint 4"
+        assert page.text(".was") == "PROGRAM"
+        (tile,) = page.each(".tiles > div:not([hidden])", "[each.className, each.textContent]")
+        assert tile[0] == "old" and re.fullmatch(r"battery 4:\d\d ago85 %", tile[1])
+        struck = page.find(".tiles .old dd").value_of_css_property("text-decoration-line")
+        assert struck == page.find(".was").value_of_css_property("text-decoration-line") == "line-through"
         assert not page.text(".outlook"), "nobody knows when it is over"
         assert "No news of the flight for 4:4" in page.text("#alarms")
         page.seek(1.0)

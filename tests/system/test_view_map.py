@@ -100,41 +100,86 @@ def overlap(one: tuple[float, float, float, float], other: tuple[float, float, f
 
 
 @pytest.mark.parametrize(("width", "height"), [(1400, 900), (1920, 1080)])
-def test_the_map_and_the_photo_are_side_by_side_in_the_first_view(
+def test_the_map_the_photo_and_the_lanes_are_in_the_first_view(
     page: Browser, one: str, width: int, height: int
 ) -> None:
     opened(page, one, 34.0, width=width, height=height)
     page.wait_until(lambda: boxes(page, ".photo")[0][2] > 0)  # a hidden element has no sides
     (map_box,), (photo,) = boxes(page, ".map"), boxes(page, ".photo")
     assert map_box[2] <= photo[0]
-    (controls,) = boxes(page, "#controls")
-    assert max(map_box[3], photo[3]) <= controls[1]
+    (controls,), (lanes,) = boxes(page, "#controls"), boxes(page, "#lanes")
+    assert max(map_box[3], photo[3]) <= controls[1] + 1
+    assert lanes[3] <= height and not page.run("return document.documentElement.scrollHeight > innerHeight")
 
 
-def test_on_a_phone_the_parts_follow_each_other(page: Browser, one: str) -> None:
-    opened(page, one, 34.0, width=390)
-    parts = [".map-frame", ".head", ".photos", ".findings", ".servers", ".delays", ".journal"]
+def test_on_a_phone_what_is_beside_the_map_slides_up_over_it(page: Browser, one: str) -> None:
+    opened(page, one, 34.0, width=390, height=844)
+    parts = ["#bar", "#notices", ".map-frame", ".tabs", "#controls", "#lanes"]
     tops = [boxes(page, part)[0][1] for part in parts]
     assert tops == sorted(tops)
-    assert page.width() <= 390
-    assert page.too_small("button, select, summary, input, .leaflet-bar a", least_px=44) == []
+    assert not any(page.each(".panel", "each.checkVisibility()"))
+    before = [boxes(page, part) for part in parts]
+    for name in ("now", "findings", "servers", "why"):
+        page.open_tab(name)
+        (panel,), (tabs,), (notices,) = boxes(page, f".of-{name}"), boxes(page, ".tabs"), boxes(page, "#notices")
+        assert notices[3] <= panel[1] and panel[3] <= tabs[1] + 1
+        assert [boxes(page, part) for part in parts] == before
+        assert page.width() <= 390
+        assert page.too_small("button, select, summary, input, .leaflet-bar a", least_px=44) == []
+        assert page.violations() == []
+    page.click("#tab-why")
+    page.drawn()
+    assert not any(page.each(".panel", "each.checkVisibility()"))
+
+
+def test_a_key_hides_what_is_beside_the_map_and_shows_it_again(page: Browser, one: str) -> None:
+    opened(page, one, 34.0)
+    page.open_tab("servers")
+    (narrow,) = boxes(page, ".map")
+    page.find("body").send_keys("d")
+    page.wait_until(lambda: boxes(page, ".map")[0][2] == 1400)
+    assert narrow[2] < 1100
+    page.find("body").send_keys("d")
+    page.wait_until(lambda: boxes(page, ".map") == [narrow])
+    assert page.find(".of-servers").is_displayed()
+
+
+def test_a_link_leads_to_a_moment_and_the_address_names_the_one_that_is_shown(
+    page: Browser, one: str
+) -> None:
+    page.open(f"{one}#t=0:13")
+    page.wait_until(lambda: page.text("#clock").startswith("0:13"))
+    page.run("location.hash = '#t=33'")
+    page.wait_until(lambda: page.text("#clock").startswith("0:33"))
+    page.seek(21.0)
+    page.wait_until(lambda: page.run("return location.hash") == "#t=0:21")
+
+
+def test_the_arrows_go_from_tab_to_tab(page: Browser, one: str) -> None:
+    opened(page, one, 34.0)
+    page.find("#tab-now").send_keys(Keys.ARROW_RIGHT)
+    assert page.find(".of-findings").is_displayed()
+    assert page.driver.switch_to.active_element.get_attribute("id") == "tab-findings"
+    assert page.each("[role=tab]", "each.tabIndex") == [-1, 0, -1, -1], "Tab goes to one of them"
 
 
 def test_the_focus_goes_from_part_to_part_and_is_covered_by_none(page: Browser, one: str) -> None:
     opened(page, one, 34.0)
+    page.run("document.getElementById('tab-findings').click()")  # which leaves the focus where it is
     order: list[str | None] = []
     while (now := page.driver.switch_to.active_element).tag_name != "body" or not order:
         now.send_keys(Keys.TAB)
         part, is_seen = page.run(
             "const { activeElement: now } = document, { left, top } = now.getBoundingClientRect();"
-            "const parts = ['map-frame', 'findings', 'side', 'delays', 'journal', 'buttons'];"
+            "const parts = ['.skip', '.map-frame', '.tabs', '.panel', '#controls', '#lanes'];"
             "const seen = document.elementFromPoint(left + 10, Math.max(1, top + 10));"
-            "return [parts.find((part) => now.closest('.' + part)), now.contains(seen) || seen?.contains(now)]"
+            "return [parts.find((part) => now.closest(part)), now.contains(seen) || seen?.contains(now)]"
         )
         assert is_seen, f"{part}: {now.get_attribute('class')}"
         order.append(part)
     parts = list(dict.fromkeys(filter(None, order)))
-    assert parts == ["map-frame", "findings", "side", "delays", "buttons"]
+    assert parts == [".skip", ".map-frame", ".tabs", ".panel", "#controls", "#lanes"]
+    assert len(order) < 35, "of the list of findings it goes to one"
 
 
 # --- the photo and the findings -----------------------------------------------------------------------------------
@@ -145,6 +190,7 @@ def test_the_labels_of_boxes_stay_within_the_photo_and_cover_no_other(
     page: Browser, one: str, width: int
 ) -> None:
     opened(page, one, 34.0, width=width)
+    page.open_tab("now")
     page.wait_until(lambda: len(page.all(".boxes text")) == len(AT_THE_BORDERS))
     labels, (photo,) = boxes(page, ".boxes text"), boxes(page, ".photo")
     for number, label in enumerate(labels):
@@ -165,14 +211,14 @@ def current(page: Browser) -> str:
 def test_everything_that_was_found_is_listed_and_leads_to_its_moment(page: Browser, one: str) -> None:
     opened(page, one, 0.0)
     assert page.text(".sentence") == f"{1 + len(AT_THE_BORDERS)} {LABEL}s"
-    assert page.each(".finds li", "each.textContent")[-2:] == [
-        f"2 {LABEL} 87 %waypoint 3 · 0:33",
+    page.open_tab("findings")
+    assert page.each(".finds li", "each.textContent")[:2] == [
         f"1 {LABEL} 87 %waypoint 1 · 0:13",
-    ]
+        f"2 {LABEL} 87 %waypoint 3 · 0:33",
+    ], "what is found later is not on top"
     assert current(page) == "", "nothing was found by then"
     assert len(page.all(".finds .later")) == 6
-    *_, third, second, first = page.all(".finds button")
-    page.run("arguments[0].scrollIntoView({block: 'center'})", first)  # the player would lie above it
+    first, second, third, *_ = page.all(".finds button")
     first.click()
     page.wait_until(lambda: page.text("#clock").startswith("0:13"))
     page.drawn()
@@ -190,11 +236,61 @@ def test_everything_that_was_found_is_listed_and_leads_to_its_moment(page: Brows
     assert current(page) == "3", "while its message is the last"
 
 
-def test_findings_have_pictures_of_96_pixels(page: Browser, one: str) -> None:
+def test_findings_have_pictures_and_the_one_that_is_selected_a_larger_one(page: Browser, one: str) -> None:
     opened(page, one, 34.0)
+    page.open_tab("findings")
     page.wait_until(lambda: page.each(".thumb img", "each.naturalWidth > 0").count(True) >= 4)
-    assert set(page.each(".thumb", "each.getBoundingClientRect().width")) == {96}
+    assert set(page.each(".thumb", "each.getBoundingClientRect().width")) == {72}
+    page.find("body").send_keys("n")
+    page.wait_until(lambda: page.each(".crop img", "each.naturalWidth > 0") == [True])
+    assert page.find(".crop").rect["width"] == 100
     assert page.errors() == []
+
+
+def test_findings_are_sorted_and_filtered_in_the_list_and_on_the_map(page: Browser, tmp_path: Path) -> None:
+    log = tmp_path / "scores.jsonl"
+    box = dict(zip(("left_px", "top_px", "width_px", "height_px"), AT_THE_BORDERS[-1], strict=True))
+    scores = {"soiling": 0.9, "hot-spot": 0.3, "broken-module": 0.7}
+    text = line("planned", 0.0, waypoints_m=[(0.0, 0.0), (90.0, 0.0)])
+    text += line("mission_started", 0.0, policy="x", waypoints=2)
+    for number, (label, score) in enumerate(scores.items()):
+        at = {"east_m": 40.0 * number, "north_m": 0.0, "altitude_m": 10.0}
+        text += line("photo", 10.0 * number, source=f"{number}.jpg", position=at)
+        text += line("notified", 10.0 * number + 1, message=[{**box, "label": label, "score": score}], at=at)
+    log.write_bytes(text + line("mission_completed", END_S))
+
+    def numbers() -> list[str]:
+        page.drawn()
+        return page.each(".finds .number", "each.textContent")
+
+    def choose(name: str, value: str) -> list[str]:
+        page.run(
+            "const field = document.querySelector(`.choice [aria-label^='${arguments[0]}'], .choice input`);"
+            "field.value = arguments[1]; field.dispatchEvent(new Event('change', { bubbles: true }));",
+            name,
+            value,
+        )
+        return numbers()
+
+    with view_of(log) as address:
+        opened(page, address, END_S)
+        page.open_tab("findings")
+        assert numbers() == ["1", "2", "3"]
+        page.find("body").send_keys("s")
+        assert numbers() == ["1", "3", "2"], "the surest first"
+        page.find("body").send_keys("s")
+        assert numbers() == ["2", "3", "1"]
+        before = inked(page)
+        assert choose("at least", "50") == ["3", "1"]
+        assert "2 of 3 shown" in page.text(".choice")
+        assert inked(page) < before, "the others are not on the map"
+        assert choose("Label", "broken module") == ["3"], "which people call so"
+        page.find("body").send_keys("n", "r")
+        page.wait_until(lambda: numbers() == [])
+        assert choose("Review", "rejected") == ["3"]
+        assert choose("Label", "any label") == ["3"]
+        assert choose("Review", "all of them") == ["3", "1"]
+        assert page.violations() == []
 
 
 def test_a_click_on_the_photo_shows_a_finding_in_the_list(page: Browser, one: str) -> None:
@@ -269,7 +365,9 @@ def test_where_too_many_lie_close_together_one_count_stands_for_all(page: Browse
 
 def test_findings_can_be_downloaded(page: Browser, one: str) -> None:
     opened(page, one, 34.0)
-    page.click(".downloads summary")
+    page.find("body").send_keys("e")
+    page.wait_until(lambda: page.find(".downloads a").is_displayed())
+    assert page.driver.switch_to.active_element.text == "findings.csv"
     names = ["findings.csv", "findings.geojson", "findings.kml", "findings.zip"]
     assert [link.text for link in page.all(".downloads a")] == names
     written = page.run(
@@ -404,10 +502,11 @@ def test_the_readout_is_of_the_pointer_alone(page: Browser, one: str) -> None:
 
 def test_the_operation_of_a_call_is_told_by_the_fill_of_its_mark(page: Browser, one: str) -> None:
     opened(page, one, END_S)
+    page.open_tab("servers")
     entries = [element.text for element in page.all(".legend .entry")]
-    assert f"filled: {COUNT}" in entries and f"hollow: {DIRT}" in entries
+    assert "filled: detector" in entries and "hollow: gauge" in entries, "services by their titles"
     middles = page.run(
-        "const canvas = document.querySelector('.chart canvas'), context = canvas.getContext('2d');"
+        "const canvas = document.querySelector('.lanes canvas'), context = canvas.getContext('2d');"
         "const style = getComputedStyle(document.documentElement).getPropertyValue('--place-3').trim();"
         "const wanted = [1, 3, 5].map((from) => parseInt(style.slice(from, from + 2), 16));"
         "const { data } = context.getImageData(0, 0, canvas.width, canvas.height);"
@@ -415,7 +514,7 @@ def test_the_operation_of_a_call_is_told_by_the_fill_of_its_mark(page: Browser, 
         " Math.abs(data[4 * (y * canvas.width + x) + channel] - value) < 12)"
         " && data[4 * (y * canvas.width + x) + 3] > 250;"  # the lines beneath the marks are faint
         "const marks = []; let last = -9;"
-        "for (let x = 0; x < canvas.width; x += 1) {"
+        "for (let x = 92; x < canvas.width; x += 1) {"  # right of the names
         "  const ys = []; for (let y = 0; y < canvas.height; y += 1) if (isWanted(x, y)) ys.push(y);"
         "  if (!ys.length) continue;"
         "  if (x > last + 1) marks.push({x: [], y: []});"
@@ -428,7 +527,7 @@ def test_the_operation_of_a_call_is_told_by_the_fill_of_its_mark(page: Browser, 
 
 def test_a_figure_is_the_same_whichever_way_its_moment_was_reached(page: Browser, one: str) -> None:
     keep = (
-        "window.kept = [...document.querySelectorAll('.chart canvas, .leaflet-marks-pane canvas')].map("
+        "window.kept = [...document.querySelectorAll('.lanes canvas, .leaflet-marks-pane canvas')].map("
         "(each) => each.getContext('2d').getImageData(0, 0, each.width, each.height).data)"
     )
 
@@ -458,6 +557,8 @@ def test_a_figure_is_the_same_whichever_way_its_moment_was_reached(page: Browser
 @pytest.mark.parametrize("width", [390, 1400])
 def test_axe_finds_nothing_wrong(page: Browser, one: str, width: int, scheme: str) -> None:
     opened(page, one, 34.0, width=width, scheme=scheme)
-    page.wait_until(lambda: page.all(".boxes text"))
-    assert page.violations() == []
+    for name in ("now", "findings"):
+        page.open_tab(name)
+        page.wait_until(lambda: page.all(".boxes text"))
+        assert page.violations() == []
     assert page.errors() == []

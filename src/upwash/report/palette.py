@@ -81,6 +81,7 @@ def stylesheet() -> str:
             f":root {{ color-scheme: light dark; {counts} {_variables(LIGHT)} }}",
             f"@media (prefers-color-scheme: dark) {{ :root {{ {_variables(DARK)} }} }}",
             f"@media print {{ :root {{ color-scheme: light; {_variables(LIGHT)} }} }}",
+            f":root.paper {{ color-scheme: light; {_variables(LIGHT)} }}",
             *classes,
             "",
         ]

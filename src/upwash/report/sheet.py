@@ -40,15 +40,14 @@ def draw_sheet(records: Sequence[Record], shelf: PhotoShelf) -> Markup:
         parts = [_section(records, f"How the flight{s} ended", draw_ending), *_results(records)]
     parts += _found(records, shelf)
     if len(records) <= _SIDE_BY_SIDE:
-        parts.append(_section(records, "Worst calls", _worst_calls))
+        parts += [tables.totals(records), _section(records, "Worst calls", _worst_calls)]
     rest = element("p", _REST, class_="note")
     return element("section", *parts, rest, class_="sheet", aria_label="In words and tables")
 
 
 def _results(records: Sequence[Record]) -> list[Markup]:
     outcomes = [each for record in records if (each := record.outcome(record.name)) is not None]
-    told = [element("p", what_it_came_to(each, outcomes), class_="lead") for each in outcomes]
-    return [*told, tables.totals(records)]
+    return [element("p", what_it_came_to(each, outcomes), class_="lead") for each in outcomes]
 
 
 def _summary(records: Sequence[Record]) -> list[Markup]:

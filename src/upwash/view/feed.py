@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import msgspec
 
 from upwash.eventlog.results import RunResult
-from upwash.report.numbering import FlightFindings, Numbered, are_a_fleet, numbered, offset_m, what_was_found
+from upwash.report.numbering import FlightFindings, Numbered, are_a_fleet, noun_of, numbered, offset_m, what_was_found
 from upwash.report.outcome import what_it_came_to
 from upwash.report.record import names_of
 from upwash.report.reviewed import ReviewedFindings, with_reviews
@@ -89,11 +89,12 @@ class SeenReview(msgspec.Struct, frozen=True):
 class Found(msgspec.Struct, frozen=True):
     """What was found on the flight of a log, or on all of a fleet, in a sentence; and the numbers of the log's own.
 
-    `objects` has the objects that this log saw first, by the index of their first sighting. `reviews` are by number;
-    `remarks` are sentences about them.
+    `nouns` are what people call objects, by those labels that differ from it. `objects` has the objects that this log
+    saw first, by the index of their first sighting. `reviews` are by number; `remarks` are sentences about them.
     """
 
     words: str
+    nouns: Mapping[str, str]
     numbers: Sequence[int]
     objects: Mapping[int, SeenObject]
     reviews: Mapping[int, SeenReview]
@@ -118,8 +119,10 @@ def _found(found: ReviewedFindings, log: int, *, is_a_fleet: bool) -> Found:
             flights[log].found[each.first[1]].key,
         )
     told = found if is_a_fleet else own
+    labels = {each.what for each in flights[log].found}
     return Found(
         what_was_found(each.finding for each in told.objects),
+        {label: noun for label in labels if label and (noun := noun_of(label)) != label},
         [found.everything[position].number for position in found.positions[log]],
         objects,
         {

@@ -46,6 +46,12 @@ class Notice {
 
 // What holds at the moment.
 function noticesOf(moment) {
+  const { trouble } = moment.story; // why its log is read no further
+  const told = trouble ? [{ level: "caution", rank: -1, at_s: 0, since_s: null, cause: trouble.replace(/\.$/, ""), action: "" }] : [];
+  return [...whatHolds(moment), ...told];
+}
+
+function whatHolds(moment) {
   if (!moment.withoutNewsS) return moment.notices;
   const cause = `No news of the flight for ${told(moment.withoutNewsS)}`;
   const action = "Look whether its program runs.";

@@ -12,24 +12,26 @@ const TONES = ["alarm", "person", "torn", "landing", "program", "ground"]; // of
 const WEAK_FIXES = new Set(["none", "2d"]);
 
 export class Bar {
-  constructor(name) {
+  constructor() {
     this.sign = element("span", { class: "sign" });
     this.who = element("strong", { class: "who" });
+    this.was = element("s", { class: "was" }); // who had the vehicle when it was heard last
     this.words = element("span", { class: "doing", role: "status" });
     this.passing = element("span"); // what changes all the time, which no screen reader should read all the time
     this.aside = element("span", { class: "aside" });
     this.tiles = new Map(["battery", "link", "GPS", "mode", "motors"].map((tile) => [tile, new Tile(tile)]));
-    this.progress = element("progress", { max: "1", value: "0", "aria-label": `Waypoints reached, ${name}` });
+    this.progress = element("progress", { max: "1", value: "0", "aria-label": "Waypoints reached" });
     this.element = element(
       "section",
-      { class: "bar", "aria-label": `State of ${name}` },
-      element("div", { class: "says" }, element("p", {}, this.who, " ", this.words, this.passing), element("p", { class: "small" }, this.sign, this.aside)),
+      { class: "bar", "aria-label": "State" },
+      element("div", { class: "says" }, element("p", {}, this.who, " ", this.was, this.words, this.passing), element("p", { class: "small" }, this.sign, this.aside)),
       element("dl", { class: "tiles" }, ...[...this.tiles.values()].map((tile) => tile.element)),
       this.progress,
     );
   }
 
-  // A flight at its moment; with its `name`, of several. Of a fleet, whose moments are all given, it is the drone in focus, with its number.
+  // A flight at its moment; with its `name` and number, of several. Of a fleet all moments are given, and this is the drone in focus.
+  // Returns the state in a word.
   show(moment, name, fleet, number = "") {
     if (this.sign.textContent !== String(number)) this.sign.replaceChildren(...(number ? [badge(number)] : []));
     const one = saysOf(moment);
@@ -37,53 +39,61 @@ export class Bar {
     const says = fleet.length > 1 ? { ...saysOfAll(fleet), small: [...own, ...one.small] } : one;
     this.element.className = `bar ${says.tone}${says.calls ? " calling" : ""}${says.isLed ? " led" : ""}`;
     write(this.who, says.who);
+    write(this.was, says.was ?? "");
     write(this.words, says.words);
     write(this.passing, says.passing ?? "");
     this.words.classList.toggle("alone", !says.calls && Boolean(says.passing));
     write(this.aside, joined([name, ...says.small]));
+    this.aside.title = this.aside.textContent; // a line has no room for all
     this.#showTiles(moment, one);
     const { story, reached } = moment;
     this.progress.hidden = !story.waypoints;
     this.progress.value = story.waypoints ? reached / story.waypoints : 0;
+    return fleet.length > 1 ? byTone(fleet)[0].who : one.who;
   }
 
+  // What the vehicle told last; of one that is not heard any more struck out, with its age.
   #showTiles(moment, { who }) {
-    for (const tile of this.tiles.values()) tile.element.hidden = true;
-    if (who === "NO NEWS") return;
     const { story } = moment;
     const lost = moment.silence;
-    const known = lost ? {} : (moment.last("vehicle") ?? {}); // what a vehicle told that is not heard any more is old
-    const battery = lost ? null : moment.last("battery");
+    const silentS = who === "NO NEWS" ? moment.withoutNewsS : 0;
+    const known = moment.last("vehicle") ?? {};
+    const battery = moment.last("battery");
+    const old = (fact) => (fact && (lost || silentS) ? `${told(moment.atS - Math.min(fact.at_s, lost?.since_s ?? Infinity) + silentS)} ago` : "");
     const heard = moment.isOver || moment.breaksOff || !story.opened ? null : moment.recent("fix", STALE_S);
-    this.tiles.get("battery").showBattery(battery?.battery_percent, moment.stages);
-    const silent = lost && told(moment.atS - lost.since_s);
-    this.tiles.get("link").show(lost ? `lost ${silent}` : heard ? "ok" : "", { tone: lost ? "critical" : "" });
+    this.tiles.get("battery").showBattery(battery?.battery_percent, moment.stages, old(battery));
+    this.tiles.get("link").show(lost ? `lost ${told(moment.atS - lost.since_s)}` : silentS ? "" : heard ? "ok" : "", { tone: lost ? "critical" : "" });
     const satellites = known.satellites === undefined ? "" : ` · ${known.satellites}`;
+    const last = moment.last("fix"); // which comes with what the vehicle tells
     this.tiles.get("GPS").show(known.gps ? `${known.gps.replace("rtk-", "RTK ").replace("fixed", "fix")}${satellites}` : "", {
       tone: WEAK_FIXES.has(known.gps) ? "critical" : "",
+      old: old(last),
     });
-    this.tiles.get("mode").show(known.mode ?? "");
-    this.tiles.get("motors").show({ true: "armed", false: "off" }[known.armed] ?? "");
+    this.tiles.get("mode").show(known.mode ?? "", { old: old(last) });
+    this.tiles.get("motors").show({ true: "armed", false: "off" }[known.armed] ?? "", { old: old(last) });
   }
 }
 
 class Tile {
   constructor(name) {
     this.value = element("span");
+    this.age = element("span");
     this.charge = drawn("rect", { x: 2.5, y: 3.5, height: 9, width: 0 });
     const outline = drawn("path", { d: "M1 2H23V14H1ZM23 5.5H26V10.5H23", fill: "none", stroke: "currentColor", "stroke-width": 2 });
     this.icon = drawn("svg", { viewBox: "0 0 27 16", width: 34, height: 20, "aria-hidden": "true" }, this.charge, outline);
-    this.element = element("div", { hidden: "" }, element("dt", {}, name), element("dd", {}, this.value));
+    this.element = element("div", { hidden: "" }, element("dt", {}, name, this.age), element("dd", {}, this.value));
   }
 
-  show(words, { tone = "" } = {}) {
+  // With an age it is `old`, and told no more.
+  show(words, { tone = "", old = "" } = {}) {
     this.element.hidden = !words;
-    this.element.className = tone;
+    this.element.className = old ? "old" : tone;
+    write(this.age, old && ` ${old}`);
     write(this.value, words);
   }
 
-  showBattery(percent, stages) {
-    this.show(percent === undefined ? "" : `${percent.toFixed(0)} %`, { tone: toneOfBattery(percent, stages) });
+  showBattery(percent, stages, old) {
+    this.show(percent === undefined ? "" : `${percent.toFixed(0)} %`, { tone: toneOfBattery(percent, stages), old });
     this.charge.setAttribute("width", (0.19 * Math.min(100, Math.max(0, percent ?? 0))).toFixed(1));
     if (!this.icon.parentNode) this.value.before(this.icon);
   }
@@ -111,7 +121,7 @@ function saysOf(moment) {
   const words = moment.underWay?.doing || inWords(moment);
   const { who } = moment.last("doing") ?? {};
   if (state.who === "NO NEWS") {
-    return { ...state, passing: `for ${told(moment.withoutNewsS)}`, small: [`${story.timeOf(moment.atS)} last heard: ${joined([who, words])}`] };
+    return { ...state, was: who, passing: `for ${told(moment.withoutNewsS)}`, small: [`last heard at ${story.timeOf(moment.atS)}: ${joined([who, words])}`] };
   }
   if (state.who === "LOG ENDS") {
     const where = moment.last("doing").tone === "ground" ? "on the ground" : "in the air";
@@ -126,10 +136,14 @@ function saysOf(moment) {
 
 // How many drones are in each state, in the colour of the worst.
 function saysOfAll(moments) {
-  const states = moments.map(stateOf).sort((one, other) => TONES.indexOf(one.tone) - TONES.indexOf(other.tone));
+  const states = byTone(moments);
   const names = [...new Set(states.map(({ who }) => who))];
   const words = names.map((who) => `${states.filter((state) => state.who === who).length}\u00a0${who}`).join(" · ");
   return { tone: states[0].tone, who: `${moments.length} drones:`, words, isLed: true };
+}
+
+function byTone(moments) {
+  return moments.map(stateOf).sort((one, other) => TONES.indexOf(one.tone) - TONES.indexOf(other.tone));
 }
 
 // The call that the drone waits for: none while it flies on, and no single one of several whose answers are open.

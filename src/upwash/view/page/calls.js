@@ -1,28 +1,30 @@
 // Every call so far as a table, for those who read numbers and for those who cannot see figures.
 
-import { element, scrolled, table } from "./element.js";
-import { nameOf } from "./places.js";
+import { card, element, scrolled, table } from "./element.js";
+import { nameOf, titleOf } from "./places.js";
 
 const HEADS = ["waypoint", "ended at", "operation", "place", "delay", "waited", "why"];
 
 export class CallTable {
-  #moment = null;
+  #operations = [];
 
-  constructor(name) {
+  constructor(name, places) {
+    this.places = places;
     this.body = element("tbody");
-    const calls = scrolled(table(HEADS, this.body), `Calls by waypoint, ${name}`);
-    this.element = element("details", {}, element("summary", {}, "The calls as a table"), calls);
-    this.element.addEventListener("toggle", () => this.#moment && this.show(this.#moment));
+    this.element = card("All calls", scrolled(table(HEADS, this.body, { class: "calls-table" }), `Calls by waypoint, ${name}`, "scroll many"));
   }
 
+  // Where it is to be seen.
   show(moment) {
-    this.#moment = moment;
-    const count = this.element.open ? moment.count("call") : 0;
+    const { operations } = this.places;
+    if (operations !== this.#operations) this.clear();
+    this.#operations = operations;
+    const count = this.element.offsetParent ? moment.count("call") : 0;
     const rows = this.body.rows;
     while (rows.length > count) rows[rows.length - 1].remove();
     if (rows.length < count) {
       const calls = moment.story.call.slice(rows.length, count);
-      this.body.append(...calls.map((call) => row(call, moment.story.timeOf(call.at_s))));
+      this.body.append(...calls.map((call) => row(call, moment.story.timeOf(call.at_s), operations)));
     }
   }
 
@@ -31,10 +33,10 @@ export class CallTable {
   }
 }
 
-function row(call, ended) {
+function row(call, ended, operations) {
   const cells = [
     ended,
-    call.operation,
+    titleOf(call.operation, operations),
     nameOf(call.place),
     `${call.delay_s.toFixed(2)} s`,
     call.wait ? `${call.waited_s.toFixed(2)} s, ${call.wait}` : "",

@@ -51,6 +51,12 @@ export class Clock {
   }
 }
 
+// The seconds of "#t=1:45" or "#t=105"; null of anything else.
+export function secondsOf(hash) {
+  const parts = /^#t=((?:\d+:){0,2}\d+(?:\.\d+)?)$/.exec(hash)?.[1].split(":");
+  return parts ? parts.reduce((sum, part) => 60 * sum + Number(part), 0) : null;
+}
+
 // How long something takes, or how much shorter it is: "15.4 s", "3:46".
 export function lasting(seconds) {
   if (Math.abs(seconds) >= 60) return `${seconds < 0 ? "-" : ""}${told(Math.abs(seconds))}`;

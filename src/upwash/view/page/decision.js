@@ -1,8 +1,8 @@
 // The call under way or the last one: where it is and since when, the sentence that says why, and what each place was
-// expected to take.
+// expected to take; beside it the reasons in full, and what other policies did.
 
-import { element, write } from "./element.js";
-import { inBrief, nameOf } from "./places.js";
+import { card, element, write } from "./element.js";
+import { inBrief, nameOf, titleOf } from "./places.js";
 
 const NAME = 16; // characters
 const LEAST_S = 0.05; // of a wait that is worth a word
@@ -19,15 +19,14 @@ export class DecisionCard {
     this.bars = element("dl", { class: "bars" });
     this.others = element("div", { class: "others" });
     this.reasons = element("ul", { class: "reasons" });
-    this.element = element(
-      "section", { class: "card now" }, this.heading, this.course, this.cause, this.bars, this.others, this.reasons,
-    );
+    this.element = element("section", { class: "card now" }, this.heading, this.course, this.cause, this.bars);
+    this.why = card("Why there", this.reasons, this.others);
   }
 
   show(moment) {
     const decision = moment.underWay;
     const about = decision ?? moment.last("call");
-    write(this.heading, headingOf(about, decision && (moment.withoutNewsS || moment.breaksOff ? "Call that was under way" : "Call under way")));
+    write(this.heading, headingOf(about, this.places, decision && (moment.withoutNewsS || moment.breaksOff ? "Call that was under way" : "Call under way")));
     write(this.course, decision ? wholeCourse(decision, moment) : about ? lineOf(about, moment.story) : "");
     const going = moment.last("going");
     const gone = decision && going && going.at_s >= decision.began_s && going.waypoint === decision.waypoint;
@@ -68,10 +67,10 @@ export class DecisionCard {
   }
 }
 
-function headingOf(about, underWay) {
+function headingOf(about, { operations }, underWay) {
   if (!about) return "No call was decided yet";
   const where = about.waypoint === null ? "before the first waypoint" : `at waypoint ${about.waypoint}`;
-  return `${underWay ?? "Last call"}: ${about.operation} ${where}`;
+  return `${underWay ?? "Last call"}: ${titleOf(about.operation, operations)} ${where}`;
 }
 
 // For how long it is where it is, of how long at most or about: "3.1 of at most 3.9 s, also on the drone".

@@ -16,6 +16,11 @@ function filled(made, attributes, children) {
   return made;
 }
 
+// Which key does the same; browsers tell others of it by aria-keyshortcuts.
+export function keyOf(key) {
+  return element("kbd", { "aria-hidden": "true" }, key);
+}
+
 // How many "servers" or "drones" have a colour of their own.
 export function coloured(kind) {
   return Number(getComputedStyle(document.documentElement).getPropertyValue(`--${kind}`));
@@ -49,4 +54,11 @@ export function counted(number, noun) {
 // Sets the text only where it changes, so that screen readers are told no more than is new.
 export function write(where, text) {
   if (where.textContent !== text) where.textContent = text;
+}
+
+export function line(context, fromX, fromY, toX, toY) {
+  context.beginPath();
+  context.moveTo(fromX, fromY);
+  context.lineTo(toX, toY);
+  context.stroke();
 }

@@ -1,12 +1,14 @@
-// Everything that was found, newest first, with pictures: a click shows its moment, its photo and its place.
+// Everything that was found, with pictures: a click shows its moment, its photo and its place.
 
 import { badge } from "./badge.js";
-import { card, element, scrolled, write } from "./element.js";
+import { Choice } from "./choice.js";
+import { element, keyOf, write } from "./element.js";
 import { wordsOf } from "./found.js";
 import { cropOf, filesOfFindings, loadSeen } from "./pictures.js";
 import { ReviewPanel } from "./review.js";
 
 const [WIDE_PX, HIGH_PX] = [96, 72]; // of a picture
+const STEPS = { ArrowDown: 1, ArrowUp: -1, Home: -Infinity, End: Infinity };
 
 export class Findings {
   #items = new Map(); // by number: its element in the list, its finding, and what writes its words
@@ -25,18 +27,27 @@ export class Findings {
     this.log = log; // of the first story
     this.picked = picked;
     this.words = element("p", { class: "sentence" });
-    this.list = element("ol", { class: "finds", reversed: "" });
-    this.scroller = scrolled(this.list, `Findings, ${name}`);
+    this.list = element("ol", { class: "finds" });
+    this.scroller = element("div", { class: "scroll", role: "region", "aria-label": `Findings, ${name}` }, this.list);
+    this.list.addEventListener("keydown", (event) => this.#step(event));
+    this.choice = new Choice(stories, changed);
     const [move, advance] = [(by) => this.#move(by), (target) => this.#advance(target)];
     this.review = new ReviewPanel(stories, name, desk, { log, move, advance, changed });
-    this.element = card("Findings", this.words, this.review.element, this.scroller);
-    this.element.classList.add("findings");
-    this.element.querySelector("h3").after(downloads());
+    this.menu = downloads();
+    this.nothing = element("p", { class: "note" }, "Nothing was found yet.");
+    this.work = element("div", { class: "work" }, this.words, this.menu, this.choice.element, this.review.element, this.scroller);
+    this.element = element("section", { class: "findings", "aria-label": "Findings" }, this.nothing, this.work);
+  }
+
+  // How many there are.
+  get count() {
+    return this.stories.reduce((sum, story) => sum + story.objects.length, 0);
   }
 
   // Each flight at its moment; returns the one finding that is looked at, of the flight of that index.
   show(moments, focus = 0) {
-    this.element.hidden = !this.stories.some((story) => story.told.length);
+    this.work.hidden = !this.stories.some((story) => story.told.length);
+    this.nothing.hidden = !this.work.hidden;
     this.#list();
     for (const moment of moments) this.#fade(moment);
     this.#point(this.#currentAt(moments[focus]));
@@ -50,10 +61,32 @@ export class Findings {
     this.picked(story, finding);
   }
 
+  // Puts the focus into the list.
+  enter() {
+    (this.list.querySelector("[tabindex='0']") ?? this.choice.sort).focus();
+  }
+
+  // What a key does with findings, if it does something. `isHere` says that the focus is among them.
+  wayOf(key, isHere) {
+    if (this.work.hidden) return null;
+    return { s: () => this.choice.turn(), e: () => this.#offer() }[key] ?? this.review.wayOf(key, isHere);
+  }
+
+  #offer() {
+    this.menu.open = true;
+    this.menu.querySelector("a")?.focus();
+  }
+
   // What is reviewed, as long as it has not got lost with the run of a log.
   get #reviewed() {
     const { story, finding } = this.#target ?? {};
     return story?.told[finding.index] === finding ? this.#target : null;
+  }
+
+  #step(event) {
+    if (!(event.key in STEPS)) return;
+    event.preventDefault();
+    this.#move(STEPS[event.key]);
   }
 
   // Selects the one that many places further down the list, the first one where none is selected, and puts the focus on it.
@@ -85,7 +118,7 @@ export class Findings {
     this.#numbered = stories.map(({ found }) => found);
     write(this.words, stories[0].found.words);
     const all = stories.flatMap((story, index) => story.numbered.map((finding) => ({ story, index, finding })));
-    all.sort((one, other) => other.finding.no - one.finding.no);
+    all.sort((one, other) => this.choice.order(one.finding, other.finding));
     const findings = all.map(({ finding }) => finding);
     const made = new Map([...this.#items.values()].map((each) => [each.finding, each]));
     const kept = all.map((each) => made.get(each.finding) ?? this.#make(each));
@@ -94,6 +127,8 @@ export class Findings {
     for (const { say } of kept) say();
     this.list.classList.toggle("pictureless", !findings.some(({ pictured }) => pictured));
     this.#listed = findings;
+    this.choice.tell(stories.flatMap((story) => story.objects), findings.length);
+    this.#rove(this.list.querySelector("[tabindex='0']"));
   }
 
   // Puts the items into the list, and moves none that is there: it may have the focus.
@@ -107,24 +142,24 @@ export class Findings {
     }
   }
 
+  // Of all buttons in the list, Tab goes to one.
+  #rove(to) {
+    const next = to ?? this.list.querySelector("button");
+    for (const each of this.list.querySelectorAll("[tabindex='0']")) each.tabIndex = -1;
+    if (next) next.tabIndex = 0;
+  }
+
   #make({ story, index, finding }) {
     const where = finding.waypoint === null ? "" : `waypoint ${finding.waypoint} · `;
     const place = `${where}${story.timeOf(finding.at_s)}`;
     const whose = this.stories.length > 1 ? [badge(index + 1), " "] : [];
     const [number, found] = [element("span", { class: "number" }), element("bdi")];
     const [seen, note] = [element("span", { class: "when" }), element("bdi", { class: "when" })];
-    const words = element(
-      "span",
-      { class: "words" },
-      number,
-      " ",
-      found,
-      element("span", { class: "when" }, ...whose, place),
-      seen,
-      note,
-    );
-    const button = element("button", { type: "button", title: "Show its moment, its photo and its place" });
-    button.append(picture(this.#cropOf(finding)), words);
+    const when = element("span", { class: "when place" }, ...whose, place);
+    const words = element("span", { class: "words" }, number, " ", found, when, seen, note);
+    const button = element("button", { type: "button", tabindex: "-1", title: "Show its moment, its photo and its place" });
+    const source = this.#cropOf(finding);
+    button.append(picture(source), words);
     button.addEventListener("click", () => this.select(story, finding));
     const item = element("li", {}, button);
     item.classList.toggle("later", finding.index >= (this.#counts.get(story) ?? 0));
@@ -136,7 +171,7 @@ export class Findings {
       write(note, finding.review?.note ?? "");
       item.classList.toggle("rejected", verdict === "rejected");
     };
-    return { item, say, story, finding, log: this.log + index };
+    return { item, say, story, finding, source, log: this.log + index };
   }
 
   // The picture of the best sighting, which may be another drone's.
@@ -163,7 +198,7 @@ export class Findings {
   }
 
   #point(current) {
-    if (this.#focuses) (this.#items.get(this.#target?.finding.no)?.item.firstElementChild ?? this.scroller).focus();
+    if (this.#focuses) (this.#items.get(this.#target?.finding.no)?.item.firstElementChild ?? this.choice.sort).focus();
     this.#focuses = false;
     const item = this.#items.get(current?.no)?.item;
     if (current === this.#current && item === this.#pointed) return;
@@ -171,6 +206,7 @@ export class Findings {
     [this.#current, this.#pointed] = [current, item];
     if (!item) return;
     item.setAttribute("aria-current", "true");
+    this.#rove(item.firstElementChild);
     const [top, bottom] = [item.offsetTop, item.offsetTop + item.offsetHeight];
     const { scrollTop, clientHeight } = this.scroller;
     if (top < scrollTop || bottom > scrollTop + clientHeight) this.scroller.scrollTop = top - clientHeight / 2;
@@ -184,7 +220,7 @@ function seenOften({ sightings, error_m: errorM }, verdict) {
   return [often, errorM == null ? "" : `± ${errorM.toFixed(1)} m`, decided].filter(Boolean).join(" · ");
 }
 
-function picture(source) {
+export function picture(source) {
   const frame = element("span", { class: "thumb" });
   if (!source) return frame;
   const image = element("img", { alt: "", width: WIDE_PX, height: HIGH_PX });
@@ -197,7 +233,7 @@ function picture(source) {
 function downloads() {
   const files = filesOfFindings();
   const links = files.map(([name, address]) => element("li", {}, element("a", { href: address, download: name }, name)));
-  const menu = element("details", { class: "downloads" }, element("summary", {}, "Download"), element("ul", {}, ...links));
+  const menu = element("details", { class: "downloads" }, element("summary", { "aria-keyshortcuts": "e" }, "Download ", keyOf("e")), element("ul", {}, ...links));
   menu.hidden = !files.length;
   return menu;
 }

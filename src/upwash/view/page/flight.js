@@ -1,123 +1,77 @@
-// One flight on the page: all the parts that show it, with a map of its own where it shares none.
+// One flight on the page: the parts of it that the tabs beside the map show.
 
 import { aboutFlight } from "./about.js";
 import { CallTable } from "./calls.js";
-import { DelayChart } from "./chart.js";
 import { DecisionCard } from "./decision.js";
 import { card, counted, element, unparted, write } from "./element.js";
 import { Findings } from "./findings.js";
 import { degrees } from "./ground.js";
 import { Journal } from "./journal.js";
-import { Lanes } from "./lanes.js";
 import { PhotoCard } from "./photo.js";
 import { outlook } from "./outlook.js";
-import { FILL_WORDS, byName, nameOf, theNameOf } from "./places.js";
+import { FILL_WORDS, byName, nameOf, theNameOf, titleOf } from "./places.js";
 import { ServerList } from "./servers.js";
 import { WorstCalls } from "./worst.js";
+
+const STATES = { aside: "in range", checking: "joining", ready: "ready", trouble: "left alone" }; // as the lanes have them
 
 export class Flight {
   #run = 0;
   #legend = "";
 
-  constructor(story, log, { places, picked, desk, changed, map = null, findings = null, sign = [] }) {
+  // `findings` are those of all flights together, where they are one list.
+  constructor(story, log, { places, picked, desk, changed, findings = null, sign = [] }) {
     this.story = story;
     this.log = log;
     this.places = places;
-    this.map = map;
     const { name } = story;
-    this.heading = element("h2", {}, ...sign, name);
+    this.heading = element("h2", { class: sign.length ? "" : "unseen" }, ...sign, name);
     this.about = element("p", { class: "about" });
     this.totals = element("p", { class: "totals" });
     this.summary = element("p", { class: "summary", hidden: "" });
     this.outlook = element("p", { class: "outlook" });
-    this.trouble = element("p", { class: "trouble", role: "alert", hidden: "" });
     this.where = element("p", { class: "where" });
     this.decision = new DecisionCard(places);
     this.legend = element("p", { class: "legend" });
-    this.chart = new DelayChart(name, places, (call) => picked(story, call));
-    this.lanes = new Lanes(name, places, (clockS) => picked(story, { at_s: clockS + story.zeroS }));
     this.servers = new ServerList(places, name);
-    this.own = findings ? null : new Findings([story], name, { log, picked, desk, changed });
-    this.findings = findings ?? this.own;
-    const select = (each, finding) => this.findings.select(each, finding);
-    this.photo = new PhotoCard(log, (finding) => select(story, finding));
-    if (map) map.found = select;
-    this.calls = new CallTable(name);
+    this.findings = findings ?? new Findings([story], name, { log, picked, desk, changed });
+    this.photo = new PhotoCard(log, (finding) => this.findings.select(story, finding));
+    this.calls = new CallTable(name, places);
     this.journal = new Journal(name);
     this.worst = new WorstCalls((call) => picked(story, call));
-    const delays = card("Call delay by waypoint", this.legend, this.chart.element, this.worst.element, this.calls.element);
-    delays.classList.add("delays");
-    const words = [this.totals, this.where, this.summary, this.trouble];
-    this.element = element(
-      "section",
-      { class: "flight", "aria-label": `Flight ${name}` },
-      element("div", { class: "head" }, this.heading, this.about, this.outlook, ...words),
-      ...(map ? [map.element] : []),
-      this.photo.element,
-      ...(this.own ? [this.own.element] : []),
-      element("div", { class: "side" }, this.decision.element, this.servers.element),
-      this.lanes.element,
-      delays,
-      this.journal.element,
-    );
+    this.parts = {
+      now: [this.heading, this.outlook, this.summary, this.decision.element, this.photo.element, this.where, this.totals, this.about],
+      findings: [this.findings.element],
+      servers: [this.servers.element, card("Marks and colours", this.legend)],
+      why: [this.decision.why, this.worst.element, this.journal.element, this.calls.element],
+    };
   }
 
-  get stories() {
-    return [this.story];
-  }
-
-  // What the buttons step through.
-  get watched() {
-    return this.story;
-  }
-
-  // What has a size of its own comes first, and what is drawn into the rest of the page last.
-  show(clockS, limits, current = null) {
+  show(moment, current) {
     if (this.story.run !== this.#run) this.#begin();
-    const moment = this.story.at(clockS);
-    this.#showHead(moment);
-    this.decision.show(moment);
-    this.worst.show(moment);
-    this.#showLegend();
-    this.servers.show(moment);
-    const finding = this.own ? this.own.show([moment]) : current;
-    this.photo.show(moment, finding);
-    this.calls.show(moment);
-    this.journal.show(moment);
-    this.map?.show([moment], finding);
-    this.chart.show(moment, limits);
-    this.lanes.show(moment);
-  }
-
-  #begin() {
-    this.#run = this.story.run;
-    this.chart.clear();
-    this.lanes.clear();
-    this.calls.clear();
-    this.worst.clear();
-    this.journal.clear();
-  }
-
-  // What is shown next is drawn anew, in other colours.
-  restyle() {
-    this.map?.restyle();
-    this.chart.clear();
-    this.lanes.clear();
-  }
-
-  summarize(summaries) {
-    write(this.summary, summaries[this.log] ?? "");
-  }
-
-  #showHead(moment) {
-    const { story } = this;
     write(this.about, aboutFlight(moment));
     write(this.outlook, unparted(outlook(moment).join(" · ")));
     write(this.totals, this.#calls(moment));
     write(this.where, this.#where(moment.position));
     this.summary.hidden = !moment.isOver || !this.summary.textContent;
-    this.trouble.hidden = !story.trouble;
-    write(this.trouble, story.trouble);
+    this.decision.show(moment);
+    this.worst.show(moment);
+    this.#showLegend();
+    this.servers.show(moment);
+    this.photo.show(moment, current);
+    this.calls.show(moment);
+    this.journal.show(moment);
+  }
+
+  #begin() {
+    this.#run = this.story.run;
+    this.calls.clear();
+    this.worst.clear();
+    this.journal.clear();
+  }
+
+  summarize(summaries) {
+    write(this.summary, summaries[this.log] ?? "");
   }
 
   #where(place) {
@@ -149,23 +103,16 @@ export class Flight {
     const key = JSON.stringify([all, places.operations, operations, found, story.open.length > 0]);
     if (key === this.#legend) return;
     this.#legend = key;
-    const sign = (style) => element("span", { class: style, "aria-hidden": "true" });
+    const sign = (style, words = "") => element("span", { class: style, "aria-hidden": "true" }, words);
     const entries = [
       ...all.map((place) => [places.icon(place), nameOf(place)]),
-      ...operations.map((operation) => [places.icon("local", operation), fillOf(places, operation)]),
-      [sign("wait"), "waited for a server"],
+      ...operations.map((operation) => [places.icon("local", operation), `${FILL_WORDS[places.fill(operation)]}: ${titleOf(operation, places.operations)}`]),
+      [sign("wait"), "dark in a call: waited"],
       [sign("mean"), "mean on the drone"],
       ...(story.open.length ? [[sign("open"), "answer not there"]] : []),
-      ...(found ? [[pill("1"), "what was found, by its number"], [pill("×9"), "several close together"]] : []),
+      ...(found ? [[sign("pill", "1"), "what was found, by its number"], [sign("pill", "×9"), "several close together"]] : []),
+      ...Object.entries(STATES).map(([tone, words]) => [element("span", { class: `state ${tone}` }, words)]),
     ];
     this.legend.replaceChildren(...entries.map((entry) => element("span", { class: "entry" }, ...entry)));
   }
-}
-
-function fillOf(places, operation) {
-  return `${FILL_WORDS[places.fill(operation)]}: ${operation}`;
-}
-
-function pill(words) {
-  return element("span", { class: "pill", "aria-hidden": "true" }, words);
 }

@@ -1,8 +1,8 @@
 // What was found, in words.
 
 // Under the label of the last review, and how sure that is.
-export function wordsOf({ what, score, review }) {
-  const name = review?.label || what || "object"; // a simulated one has neither name nor score
+export function wordsOf({ noun, what, score }) {
+  const name = noun || what || "object"; // a simulated one has neither name nor score
   return score ? `${name} ${percent(score)}` : name;
 }
 

@@ -1,16 +1,18 @@
-// The flight over time: a lane for the calls, one for each server, and for alarms, battery and link. A click goes to that moment.
+// The flight over time, which is the slider: lanes for the calls, the servers, alarms, battery and link.
 
-import { inShort, line } from "./chart.js";
 import { told } from "./clock.js";
-import { card, counted, element, write } from "./element.js";
-import { inBrief } from "./places.js";
+import { behindOver, inWords } from "./apart.js";
+import { counted, line, write } from "./element.js";
+import { inBrief, theNameOf, titleOf } from "./places.js";
 import { guardWheel } from "./wheel.js";
 
-const [LEFT, RIGHT, AXIS] = [88, 12, 20];
-const [LANE, BAR] = [18, 12];
-const MARK = 4; // the radius of a place's mark: beside a server's name, and on a call that is long enough
+const [WIDE, NARROW, RIGHT, AXIS] = [92, 62, 12, 18];
+const NARROW_PX = 600;
+const [LEAST, MOST, GAP] = [15, 24, 4]; // of a lane's height; and beneath each
+const TALLER = 2; // times as high are lanes of calls, whose bars are as high as the calls were long
+const THUMB_PX = 13;
+const MARK = 4; // the radius of a place's mark
 const STATES = { ready: "ready", checking: "check", trouble: "listed" }; // the colours of a server's states, by tone
-const TOLD = { aside: "pale: in range", checking: "checked", ready: "ready", trouble: "left alone" }; // in their colours
 const BESIDE = { detour: "on a detour to act on answers", wait: "waiting for answers" };
 const NEAR_PX = 6; // of a call, to be pointed at
 const ZOOM = 1.25; // with each step of a wheel
@@ -22,24 +24,19 @@ export class Lanes {
   #range = null; // the seconds from and to, where a person has zoomed
   #within = new Map(); // by server: when the drone was in its range, as far as the fixes were looked at
   #moment = null;
+  lanes = [];
 
-  constructor(name, places, seek) {
-    this.places = places;
-    this.seek = seek;
-    this.canvas = element("canvas", { role: "img", "aria-label": `Servers, calls and alarms over time, ${name}` });
-    this.over = element("canvas", { class: "over", "aria-hidden": "true" });
-    this.tip = element("p", { class: "tip", hidden: "" });
-    this.frame = element("div", { class: "lanes" }, this.canvas, this.over, this.tip);
-    const states = Object.entries(TOLD).map(([tone, words]) => element("span", { class: `state ${tone}` }, words));
-    this.element = card("Flight over time", element("p", { class: "legend" }, ...states), this.frame);
-    this.element.classList.add("over-time");
-    this.over.addEventListener("pointermove", (event) => this.#point(event.offsetX, event.offsetY));
-    this.over.addEventListener("pointerleave", () => (this.tip.hidden = true));
-    this.over.addEventListener("click", (event) => this.seek(this.#second(event.offsetX)));
-    this.over.addEventListener("wheel", (event) => this.#zoom(event), { passive: false });
-    guardWheel(this.frame, "Turn the wheel with Ctrl to zoom");
-    this.over.addEventListener("dblclick", () => this.#showRange(null));
-    new ResizeObserver(() => this.#moment && this.show(this.#moment)).observe(this.frame);
+  // In that part of the page, over which the `slider` lies.
+  constructor(frame, slider, places, changed) {
+    Object.assign(this, { frame, slider, places, changed });
+    [this.canvas, this.axis] = frame.querySelectorAll("canvas");
+    this.tip = frame.querySelector(".tip");
+    slider.addEventListener("pointermove", (event) => this.#point(event.offsetX - THUMB_PX / 2 + this.left, event.offsetY));
+    slider.addEventListener("pointerleave", () => (this.tip.hidden = true));
+    slider.addEventListener("wheel", (event) => this.#zoom(event), { passive: false });
+    guardWheel(frame, "Turn the wheel with Ctrl to zoom");
+    slider.addEventListener("dblclick", () => this.#showRange(null));
+    new ResizeObserver(() => this.#moment && changed()).observe(frame);
   }
 
   // Draws anew what is shown next: the log has begun another run, or the colours are others.
@@ -48,115 +45,147 @@ export class Lanes {
     this.#within.clear();
   }
 
-  show(moment) {
-    this.#moment = moment;
+  // The moment of the flight in focus; beside its calls those of the flights that it is held `against`, until `endS` of the page's clock.
+  show(moment, against, endS) {
     const { story } = moment;
-    const lanes = lanesOf(story);
-    const what = [this.frame.clientWidth, devicePixelRatio, story.run, story.facts, lanes.length, this.#range].join();
-    if (what !== this.#drawn) this.#draw(what, lanes);
-    this.#drawMoment();
+    if (this.#moment?.story !== story) this.clear();
+    this.#moment = moment;
+    this.endS = Math.max(1, endS);
+    this.#follow(moment);
+    const stories = against.length ? against.map((each) => each.story) : [story];
+    const facts = stories.map((each) => `${each.run}-${each.facts}`);
+    const what = [this.frame.clientWidth, this.frame.clientHeight, devicePixelRatio, ...facts, this.endS, this.#range].join();
+    if (what !== this.#drawn) this.#draw(what, lanesOf(story, stories));
+    const [from, to] = this.#span;
+    const values = { min: from.toFixed(1), max: (this.#range ? to : endS).toFixed(1), value: story.clockS(moment.atS).toFixed(1) };
+    for (const [name, value] of Object.entries(values)) if (this.slider[name] !== value) this.slider[name] = value;
+    const words = `Calls, servers and alarms over time, ${story.name}. ${this.#inWords(moment)}`;
+    if (words !== this.canvas.getAttribute("aria-label")) this.canvas.setAttribute("aria-label", words);
+  }
+
+  #inWords({ delays, calls }) {
+    const words = [...delays].map(([place, { number, mean }]) => `${number} on ${theNameOf(place)}, ${mean.toFixed(2)} s on average`);
+    return `${counted(calls.count, "call")}${words.length ? ": " + words.join("; ") : ""}.`;
+  }
+
+  // Where a person has zoomed, what is shown goes with the moment.
+  #follow({ story, atS }) {
+    const nowS = story.clockS(atS);
+    const [from, to] = this.#range ?? [nowS, nowS];
+    if (nowS < from || nowS > to) this.#range = this.#piece(nowS, to - from);
+  }
+
+  // So many seconds from that one on, as far as there are.
+  #piece(fromS, lengthS) {
+    const start = Math.min(Math.max(0, fromS), this.endS - lengthS);
+    return [start, start + lengthS];
   }
 
   get #span() {
-    const { story } = this.#moment;
-    return this.#range ?? [0, Math.max(1, story.clockS(story.endsS))];
+    return this.#range ?? [0, this.endS];
+  }
+
+  get left() {
+    return this.width < NARROW_PX ? NARROW : WIDE;
   }
 
   #x(second) {
     const [from, to] = this.#span;
-    return LEFT + ((second - from) / (to - from)) * (this.width - LEFT - RIGHT);
+    return this.left + ((second - from) / (to - from)) * (this.width - this.left - RIGHT);
   }
 
   #second(x) {
     const [from, to] = this.#span;
-    return Math.min(to, Math.max(from, from + ((x - LEFT) / (this.width - LEFT - RIGHT)) * (to - from)));
+    return Math.min(to, Math.max(from, from + ((x - this.left) / (this.width - this.left - RIGHT)) * (to - from)));
   }
 
   #zoom(event) {
+    if (!event.ctrlKey && !event.metaKey) return;
     event.preventDefault();
-    const { story } = this.#moment;
-    const endS = story.clockS(story.endsS);
     const [from, to] = this.#span;
-    const [here, factor] = [this.#second(event.offsetX), event.deltaY > 0 ? ZOOM : 1 / ZOOM];
-    const length = Math.max(SHORTEST_S, (to - from) * factor);
-    const start = Math.min(Math.max(0, here - ((here - from) / (to - from)) * length), endS - length);
-    this.#showRange(length < endS ? [start, start + length] : null);
+    const here = this.#second(event.offsetX - THUMB_PX / 2 + this.left);
+    const length = Math.max(SHORTEST_S, (to - from) * (event.deltaY > 0 ? ZOOM : 1 / ZOOM));
+    this.#showRange(length < this.endS ? this.#piece(here - ((here - from) / (to - from)) * length, length) : null);
   }
 
   #showRange(range) {
     this.#range = range;
-    this.show(this.#moment);
+    this.changed();
   }
 
   #draw(what, lanes) {
     this.#drawn = what;
-    this.lanes = lanes;
     this.width = this.frame.clientWidth;
-    this.height = LANE * lanes.length + AXIS;
-    this.frame.style.height = `${this.height}px`;
-    for (const canvas of [this.canvas, this.over]) {
+    const parts = lanes.reduce((sum, { kind }) => sum + (kind === "calls" ? TALLER : 1), 0);
+    const each = Math.min(MOST, Math.max(LEAST, Math.floor((this.frame.clientHeight - AXIS) / parts)));
+    let top = 0;
+    this.lanes = lanes.map((lane) => {
+      const height = each * (lane.kind === "calls" ? TALLER : 1);
+      top += height;
+      return { ...lane, top: top - height, height: height - GAP };
+    });
+    this.height = Math.max(top, this.frame.clientHeight - AXIS);
+    const sizes = [[this.canvas, this.height], [this.axis, AXIS]];
+    for (const [canvas, height] of sizes) {
       canvas.width = Math.round(this.width * devicePixelRatio);
-      canvas.height = Math.round(this.height * devicePixelRatio);
+      canvas.height = Math.round(height * devicePixelRatio);
+      Object.assign(canvas.style, { width: `${this.width}px`, height: `${height}px` });
       canvas.getContext("2d").setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
     }
+    Object.assign(this.slider.style, { left: `${this.left - THUMB_PX / 2}px`, width: `${this.width - this.left - RIGHT + THUMB_PX}px`, height: `${this.height}px` });
     const context = this.canvas.getContext("2d");
-    context.font = "12px system-ui, sans-serif";
     this.#drawAxis(context);
-    lanes.forEach(({ kind, name }, lane) => this.#drawName(context, kind, name, LANE * lane + LANE / 2));
+    for (const lane of this.lanes) this.#drawName(context, lane);
     context.save();
     context.beginPath();
-    context.rect(LEFT, 0, this.width - LEFT - RIGHT, this.height - AXIS);
+    context.rect(this.left, 0, this.width - this.left - RIGHT, this.height);
     context.clip();
-    lanes.forEach(({ kind, name }, lane) => this.#drawLane(context, kind, name, LANE * lane + (LANE - BAR) / 2));
+    for (const lane of this.lanes) this.#drawLane(context, lane);
     context.restore();
   }
 
   #drawAxis(context) {
     const { colours } = this.places;
     const [from, to] = this.#span;
+    const words = this.axis.getContext("2d");
+    context.font = words.font = "12px system-ui, sans-serif";
     context.strokeStyle = colours.of("line");
-    context.fillStyle = colours.of("soft");
+    words.fillStyle = colours.of("soft");
     context.lineWidth = 1;
-    context.textAlign = "center";
-    const least = (90 * (to - from)) / this.width;
+    words.textAlign = "center";
+    const least = (70 * (to - from)) / this.width;
     const longest = STEPS_S.at(-1);
     const step = STEPS_S.find((each) => each >= least) ?? longest * Math.ceil(least / longest);
     for (let second = Math.ceil(from / step) * step; second <= to; second += step) {
       const x = Math.round(this.#x(second)) + 0.5;
-      line(context, x, 0, x, this.height - AXIS);
-      context.fillText(told(second), x, this.height - 5);
+      line(context, x, 0, x, this.height);
+      words.fillText(told(second), Math.min(x, this.width - 16), 13);
     }
   }
 
-  #drawName(context, kind, name, middle) {
-    const right = LEFT - (kind === "server" ? 8 + 3 * MARK : 8);
+  #drawName(context, { kind, name, top, height }) {
+    const right = this.left - (kind === "server" ? 8 + 3 * MARK : 8);
+    const middle = top + height / 2;
     context.fillStyle = this.places.colours.of("ink");
     context.textAlign = "right";
-    let most = Math.min(name.length, LEFT); // no letter is narrower than a pixel
+    let most = Math.min(name.length, this.left); // no letter is narrower than a pixel
     while (most > 3 && context.measureText(inBrief(name, most)).width > right) most -= 1;
     context.fillText(inBrief(name, most), right, middle + 4, right);
-    if (kind === "server") this.places.paint(context, { place: name }, LEFT - 8 - MARK, middle, MARK);
+    if (kind === "server") this.places.paint(context, { place: name }, this.left - 8 - MARK, middle, MARK);
   }
 
-  #drawLane(context, kind, name, top) {
-    const { story } = this.#moment;
+  #drawLane(context, { kind, name, story, top, height }) {
     const { colours } = this.places;
     const bar = (fromS, toS, colour, alpha = 1, share = 1) => {
       context.globalAlpha = alpha;
       context.fillStyle = colour;
       const left = this.#x(story.clockS(fromS));
-      context.fillRect(left, top + BAR * (1 - share), Math.max(1, this.#x(story.clockS(toS)) - left), BAR * share);
+      context.fillRect(left, top + height * (1 - share), Math.max(1, this.#x(story.clockS(toS)) - left), height * share);
       context.globalAlpha = 1;
     };
     switch (kind) {
       case "calls":
-        for (const call of story.call) {
-          const fromS = beganS(call);
-          bar(fromS, call.at_s, this.places.colour(call.place), 0.85);
-          if (call.wait) bar(fromS, Math.min(call.at_s, fromS + call.waited_s), colours.of("ink"), 0.5);
-          const [left, right] = [fromS, call.at_s].map((atS) => this.#x(story.clockS(atS)));
-          if (right - left > 4 * MARK) this.places.paint(context, { place: call.place }, (left + right) / 2, top + BAR / 2, MARK, 1);
-        }
+        this.#drawCalls(context, bar, story, top, height);
         break;
       case "server":
         for (const [fromS, toS] of this.#inRange(story, name)) bar(fromS, toS, this.places.colour(name), 0.15);
@@ -179,11 +208,36 @@ export class Lanes {
         for (const [notice, toS] of held(story)) bar(notice.at_s, toS, colours.of(notice.level === "alarm" ? "alarm" : "check"));
         break;
       default:
-        this.#drawCurve(context, CURVES[kind](story), top);
+        this.#drawCurve(context, CURVES[kind](story, this.lanes), top, height);
     }
   }
 
-  #drawCurve(context, { facts, value, most }, top) {
+  // Each call as broad as it lasted, as high as its delay, with the mark of its place on top where there is room; and the means on the drone.
+  #drawCalls(context, bar, story, top, height) {
+    const room = height - 2 * MARK;
+    const longestS = this.lanes.reduce((most, lane) => Math.max(most, lane.story.longestS), 0.1);
+    const [from, to] = this.#span;
+    const inSight = (story.call.length * (to - from)) / Math.max(1, story.endsS);
+    const hasMarks = inSight * 2.5 * MARK < this.width;
+    for (const call of story.call) {
+      const fromS = beganS(call);
+      const share = Math.max(0.1, ((call.delay_s / longestS) * room) / height);
+      bar(fromS, call.at_s, this.places.colour(call.place), 0.7, share);
+      if (call.wait) bar(fromS, Math.min(call.at_s, fromS + call.waited_s), this.places.colours.of("ink"), 0.5, share);
+      const x = (this.#x(story.clockS(fromS)) + this.#x(story.clockS(call.at_s))) / 2;
+      if (hasMarks) this.places.paint(context, call, x, Math.max(top + MARK, top + height * (1 - share) - MARK + 2), MARK, 1);
+    }
+    context.strokeStyle = this.places.colours.of("place-0");
+    context.lineWidth = 1.5;
+    context.setLineDash([6, 4]);
+    for (const { mean } of story.at(story.endsS).localDelays.values()) {
+      const y = top + height - (mean / longestS) * room;
+      line(context, this.left, y, this.width - RIGHT, y);
+    }
+    context.setLineDash([]);
+  }
+
+  #drawCurve(context, { facts, value, least = 0, most }, top, height) {
     context.strokeStyle = this.places.colours.of("ink");
     context.lineWidth = 1.4;
     context.beginPath();
@@ -192,7 +246,7 @@ export class Lanes {
       const x = this.#x(this.#moment.story.clockS(fact.at_s));
       if (x - last < 1) continue;
       last = x;
-      context.lineTo(x, top + BAR * (1 - value(fact) / most));
+      context.lineTo(x, top + height * (1 - (value(fact) - least) / (most - least)));
     }
     context.stroke();
   }
@@ -216,34 +270,23 @@ export class Lanes {
     return known.since === null ? known.found : [...known.found, [known.since, story.endsS]];
   }
 
-  #drawMoment() {
-    const context = this.over.getContext("2d");
-    context.clearRect(0, 0, this.width, this.height);
-    const x = this.#x(this.#moment.story.clockS(this.#moment.atS));
-    if (x < LEFT - 1 || x > this.width - RIGHT + 1) return;
-    context.strokeStyle = this.places.colours.of("ink");
-    context.lineWidth = 2;
-    line(context, x, 0, x, this.height - AXIS);
-  }
-
   #point(x, y) {
-    const lane = this.lanes?.[Math.floor(y / LANE)];
-    const words = lane && x >= LEFT ? this.#words(lane, this.#second(x), x) : "";
+    const lane = this.lanes.find(({ top, height }) => y >= top && y < top + height + GAP);
+    const words = lane && x >= this.left ? this.#words(lane, this.#second(x), x) : "";
     this.tip.hidden = !words;
     write(this.tip, words);
-    this.tip.style.left = `${Math.min(Math.max(x, 120), Math.max(120, this.width - 120))}px`;
+    this.tip.style.left = `${Math.min(Math.max(x, 160), Math.max(160, this.width - 160))}px`;
   }
 
-  #words({ kind, name }, second, x) {
-    const { story } = this.#moment;
-    const there = story.at(second);
+  #words({ kind, name, story }, second, x) {
+    const there = story.at(second + story.zeroS);
     const at = `${told(second)} `;
     if (kind === "calls") {
       const call = story.call.find((each) => {
         const [left, right] = [beganS(each), each.at_s].map((atS) => this.#x(story.clockS(atS)));
         return x > left - NEAR_PX && x < right + NEAR_PX;
       });
-      return call ? at + inShort(call) : "";
+      return call ? at + inShort(call, this.places.operations) : "";
     }
     if (kind === "open") {
       const { open } = there;
@@ -257,33 +300,49 @@ export class Lanes {
     if (kind === "server") {
       const step = there.step(name);
       const inside = this.#inRange(story, name).some(([fromS, toS]) => there.atS >= fromS && there.atS <= toS);
-      const state = step ? [step.means, step.why].filter(Boolean).join(": ") : "available";
+      const state = step ? [step.state, step.why].filter(Boolean).join(": ") : "available";
       return `${at}${name}${inside ? ", in range" : ""}: ${state}`;
     }
     if (kind === "alarms") {
       const causes = there.notices.map(({ cause }) => cause);
       return causes.length ? at + causes.join("; ") : "";
     }
-    const { facts, value, unit } = CURVES[kind](story);
+    const { facts, value, words } = CURVES[kind](story, this.lanes);
     const last = facts.findLast((fact) => fact.at_s <= there.atS);
-    return last ? `${at}${name} ${value(last).toFixed(0)} ${unit}` : "";
+    return last ? `${at}${words(value(last))}` : "";
   }
 }
 
 const CURVES = {
-  battery: (story) => ({ facts: story.battery, value: (fact) => fact.battery_percent, most: 100, unit: "%" }),
+  battery: (story) => ({ facts: story.battery, value: (fact) => fact.battery_percent, most: 100, words: (value) => `battery ${value.toFixed(0)} %` }),
   link: (story) => {
     const most = story.link.reduce((longest, fact) => Math.max(longest, 1000 * fact.round_trip_s), 1);
-    return { facts: story.link, value: (fact) => 1000 * fact.round_trip_s, most, unit: "ms" };
+    return { facts: story.link, value: (fact) => 1000 * fact.round_trip_s, most, words: (value) => `link ${value.toFixed(0)} ms` };
+  },
+  behind: (story, lanes) => {
+    const [first, second] = lanes.filter(({ kind }) => kind === "calls").map((lane) => lane.story);
+    const facts = behindOver(first, second);
+    const [least, most] = [Math.min(-1, ...facts.map(({ behind_s }) => behind_s)), Math.max(1, ...facts.map(({ behind_s }) => behind_s))];
+    return { facts: facts.map((fact) => ({ ...fact, at_s: fact.clock_s + story.zeroS })), value: ({ behind_s }) => behind_s, least, most, words: (value) => inWords(value, first, second) };
   },
 };
 
 // What has a lane; what a log does not tell has none.
-function lanesOf(story) {
+function lanesOf(story, stories) {
+  const many = stories.length > 1;
+  const calls = stories.map((each) => ({ kind: "calls", name: many ? each.name : "calls", story: each }));
   const servers = story.servers.map((name) => ({ kind: "server", name }));
   const others = [["open", story.open], ["detours", story.beside], ["alarms", story.notice], ["battery", story.battery], ["link", story.link]];
-  const told = others.filter(([, facts]) => facts.length).map(([kind]) => ({ kind, name: kind }));
-  return [{ kind: "calls", name: "calls" }, ...servers, ...told];
+  const known = others.filter(([, facts]) => facts.length).map(([kind]) => ({ kind, name: kind }));
+  const behind = stories.length === 2 ? [{ kind: "behind", name: "difference" }] : [];
+  return [...calls, ...[...behind, ...servers, ...known].map((lane) => ({ ...lane, story }))];
+}
+
+function inShort(call, operations) {
+  const where = call.waypoint === null ? "before the first waypoint" : `waypoint ${call.waypoint}`;
+  const waited = call.wait ? `, ${call.waited_s.toFixed(2)} s of it waited` : "";
+  const inLine = call.queued_s ? `, ${call.queued_s.toFixed(2)} s of it in line` : "";
+  return `${where}: ${titleOf(call.operation, operations)} on ${theNameOf(call.place)}, ${call.delay_s.toFixed(2)} s${waited}${inLine}`;
 }
 
 // When it left the line.

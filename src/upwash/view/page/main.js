@@ -2,54 +2,51 @@
 
 import { Banner } from "./banner.js";
 import { Bar } from "./bar.js";
-import { Clock, told } from "./clock.js";
+import { Clock, secondsOf, told } from "./clock.js";
 import { element, write } from "./element.js";
 import { Feed } from "./feed.js";
-import { Fleet } from "./fleet.js";
-import { Flight } from "./flight.js";
-import { FlightMap } from "./map.js";
+import { Flights } from "./flights.js";
 import { Colours, Places } from "./places.js";
 import { STALE_S } from "./story.js";
 import { align } from "./timeline.js";
 
 const KEY_S = 5; // that an arrow key moves
 const GLIMPSE_MS = 2000;
-const PHONE_PX = 480; // where more than the moment would leave the slider no room
-const MOST_BESIDE = 3; // flights; of more one is shown at a time
+const LINK_MS = 500; // of rest, after which the address names the moment
+const MOST = 3; // flights of one drone at a time
 
 const on = (id) => document.getElementById(id);
 const clock = new Clock();
 const colours = new Colours(() => {
-  views.forEach((view) => view.restyle());
-  if (views.length) refresh();
+  view?.restyle();
+  if (view) refresh();
 });
 const places = new Places(colours);
 const banner = new Banner(on("alarms"), on("cautions"));
-let views = []; // a flight each, or a fleet
-let bars = []; // one for each of them
+const bar = new Bar();
+let view = null; // all flights that are shown
 let summaries = {};
 let title = "upwash";
-let together = false;
 let desk = null; // where reviews go
+let asked = secondsOf(location.hash); // the moment that the address names, until it is shown
 let frame = null;
 let glimpse = null;
+let linked = null;
 
 const feed = new Feed({
   opened(stories, page, reviews) {
-    together = page.together;
     desk = reviews;
-    const many = !together && stories.length > MOST_BESIDE;
-    const flights = many ? stories.slice(0, 1) : stories;
-    setViews(together ? [fleetOf(stories, page.tiles)] : flights.map((story, log) => flightOf(story, log, page.tiles)));
-    if (many) offerChoice(stories, page.tiles);
+    const isChoice = !page.together && stories.length > MOST;
+    setView(isChoice ? stories.slice(0, 1) : stories, 0, page);
+    if (isChoice) offerChoice(stories, page);
     const summary = document.querySelector(".together");
-    if (summary) on("flights").before(summary);
-    title = `upwash: ${listed(stories.map((story) => story.name))}`;
+    if (summary) on("page").before(summary);
+    title = listed(stories.map((story) => story.name));
   },
   grown,
   summarized(told) {
     summaries = told;
-    views.forEach((view) => view.summarize(summaries));
+    view.summarize(summaries);
     refresh();
   },
   said(words) {
@@ -57,33 +54,21 @@ const feed = new Feed({
   },
 });
 
-function setViews(shown) {
-  views = shown;
-  views.forEach((view) => view.summarize(summaries));
-  bars = views.map((view) => new Bar(together ? "the drone in focus" : view.watched.name));
-  on("bars").replaceChildren(...bars.map((bar) => bar.element));
-  on("flights").replaceChildren(...views.map((view) => view.element));
-  on("flights").classList.toggle("beside", views.length > 1);
+function setView(stories, log, { tiles, together }) {
+  view = new Flights(stories, log, { places, tiles, picked, desk, changed: refresh, together });
+  view.summarize(summaries);
+  on("flights").replaceChildren(...view.elements);
 }
 
-function offerChoice(stories, tiles) {
+function offerChoice(stories, page) {
   const select = element("select", {}, ...stories.map(({ name }, log) => element("option", { value: log }, name)));
   select.addEventListener("change", () => {
     const log = Number(select.value);
-    setViews([flightOf(stories[log], log, tiles)]);
+    setView([stories[log]], log, page);
     clock.follow();
     refresh();
   });
-  on("controls").prepend(element("label", { class: "choice" }, element("span", { class: "unseen" }, "Flight"), select));
-}
-
-function fleetOf(stories, tiles) {
-  return new Fleet(stories, { places, tiles, picked, desk, changed: refresh });
-}
-
-function flightOf(story, log, tiles) {
-  const map = new FlightMap(story.name, { places, tiles, logs: [log] });
-  return new Flight(story, log, { places, picked, desk, changed: refresh, map });
+  on("controls").prepend(element("label", { class: "which" }, element("span", { class: "unseen" }, "Flight"), select));
 }
 
 function picked(story, call) {
@@ -113,47 +98,42 @@ function refresh() {
 }
 
 function show() {
+  if (!view) return;
   const { stories } = feed;
-  align(stories, together);
-  clock.extend(Math.max(0, ...shown().map((story) => story.clockS(story.endsS))));
+  align(stories, view.together);
+  clock.extend(Math.max(0, ...view.stories.map((story) => story.clockS(story.endsS))));
+  if (asked !== null && asked <= clock.endS) {
+    clock.seek(asked);
+    asked = null;
+  }
   const operations = stories.flatMap((story) => [...story.operations]);
-  if (places.know(stories.flatMap((story) => story.servers), operations)) views.forEach((view) => view.restyle());
-  const limits = {
-    waypoints: Math.max(0, ...shown().map((story) => story.waypoints)),
-    longestS: Math.max(0.1, ...shown().map((story) => story.longestS)),
-    before: shown().some((story) => story.call[0]?.waypoint === null),
-  };
-  for (const view of views) view.show(clock.nowS, limits);
-  const many = feed.stories.length > 1;
-  views.forEach(({ watched, stories: flown, number }, index) => {
-    bars[index].show(watched.at(clock.nowS), many ? watched.name : "", flown.map((story) => story.at(clock.nowS)), number);
-  });
-  const alarms = banner.show(shown().map((story) => story.at(clock.nowS)));
-  document.title = alarms ? `ALARM · ${title}` : title;
+  if (places.know(stories.flatMap((story) => story.servers), operations)) view.restyle();
+  const moments = view.show(clock.nowS, clock.endS);
+  const { watched, number } = view;
+  const who = bar.show(watched.at(clock.nowS), stories.length > 1 ? watched.name : "", view.together ? moments : [], number);
+  const alarms = banner.show(moments);
+  document.title = [alarms ? "ALARM" : "", who, title].filter(Boolean).join(" · ");
   showControls();
-}
-
-function shown() {
-  return views.flatMap((view) => view.stories);
 }
 
 function showControls() {
   const live = feed.stories.some((story) => story.goesOn);
-  on("time").max = clock.endS.toFixed(1);
-  on("time").value = clock.nowS.toFixed(1);
   on("time").setAttribute("aria-valuetext", `${told(clock.nowS)} of ${told(clock.endS)}`);
-  const parts = [`${told(clock.nowS)} / ${told(clock.endS)}`, timeOfDay()];
-  write(on("clock"), innerWidth > PHONE_PX ? parts.filter(Boolean).join(" · ") : told(clock.nowS));
+  write(on("clock"), [`${told(clock.nowS)} / ${told(clock.endS)}`, timeOfDay()].filter(Boolean).join(" · "));
   write(on("play"), clock.playing ? "Pause" : "Play");
   on("latest").hidden = !live;
   on("controls").classList.toggle("following", live && clock.following);
   showMode();
   on("latest").setAttribute("aria-pressed", String(clock.following));
+  if (!clock.playing && !clock.following && asked === null) {
+    clearTimeout(linked);
+    linked = setTimeout(() => history.replaceState(null, "", `#t=${told(clock.nowS)}`), LINK_MS);
+  }
 }
 
 // Of the moment that is shown; empty where the flights have none, or none in common.
 function timeOfDay() {
-  const times = new Set(shown().map((story) => story.timeOfDay(clock.nowS + story.zeroS)));
+  const times = new Set(view.stories.map((story) => story.timeOfDay(clock.nowS + story.zeroS)));
   return times.size === 1 ? [...times][0] : "";
 }
 
@@ -171,10 +151,9 @@ function seek(clockS) {
   refresh();
 }
 
-// To the end of the nearest call on one side of the moment, in any of the flights that are looked at.
+// To the end of the nearest call on one side of the moment, in the flight that is looked at.
 function step(direction) {
-  const watched = views.map((view) => view.watched);
-  const ends = watched.flatMap((story) => story.call.map((call) => story.clockS(call.at_s)));
+  const ends = view.watched.call.map((call) => view.watched.clockS(call.at_s));
   const beyond = ends.filter((end) => direction * (end - clock.nowS) > 1e-3);
   clock.pause();
   if (beyond.length) seek(direction * Math.min(...beyond.map((end) => direction * end)));
@@ -188,8 +167,8 @@ function toggle() {
 
 on("play").addEventListener("click", toggle);
 on("time").addEventListener("input", () => {
-  const { value, max } = on("time"); // which are rounded
-  seek(Number(value) < Number(max) ? Number(value) : clock.endS);
+  const { value } = on("time"); // which is rounded
+  seek(Number(value) < Number(clock.endS.toFixed(1)) ? Number(value) : clock.endS);
 });
 on("time").addEventListener("keydown", (event) => {
   const direction = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1 }[event.key];
@@ -200,11 +179,8 @@ on("time").addEventListener("keydown", (event) => {
 on("speed").addEventListener("change", () => (clock.speed = Number(on("speed").value)));
 on("speed").value = String(clock.speed);
 on("waypoint").addEventListener("change", () => {
-  const asked = on("waypoint").value;
-  for (const story of asked === "" ? [] : views.map((view) => view.watched)) {
-    const call = story.call.find(({ waypoint }) => waypoint === Number(asked));
-    if (call) picked(story, call);
-  }
+  const call = on("waypoint").value === "" ? null : view.watched.call.find(({ waypoint }) => waypoint === Number(on("waypoint").value));
+  if (call) picked(view.watched, call);
 });
 on("previous").addEventListener("click", () => step(-1));
 on("next").addEventListener("click", () => step(1));
@@ -212,30 +188,55 @@ on("latest").addEventListener("click", () => {
   clock.follow();
   refresh();
 });
+addEventListener("hashchange", () => {
+  asked = secondsOf(location.hash);
+  refresh();
+});
+for (const skip of document.querySelectorAll(".skip")) {
+  skip.addEventListener("click", () => {
+    if (skip.dataset.to === "play") on("play").focus();
+    else if (view) enterFindings();
+  });
+}
 document.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.altKey || event.metaKey || event.target.tagName === "SELECT") return;
-  if (event.target.matches("input[type=text], input[type=number]")) return;
-  if (reviews(event)) {
-    event.preventDefault();
-    return;
-  }
-  if (together && /^[1-9]$/.test(event.key)) views[0].focus(Number(event.key) - 1);
-  if (event.target.closest("button, summary, input, [tabindex]:not(body)")) return; // these keys are theirs
-  const ways = { " ": toggle, ArrowLeft: () => seek(clock.nowS - KEY_S), ArrowRight: () => seek(clock.nowS + KEY_S) };
-  const way = { ...ways, Home: () => seek(0), End: () => seek(clock.endS) }[event.key];
+  const { key, target } = event;
+  if (!view || event.ctrlKey || event.altKey || event.metaKey || target.tagName === "SELECT") return;
+  if (target.matches("input[type=text], input[type=number]")) return;
+  const way = wayOf(key, event.repeat, view.findings.element.contains(target), target);
   if (!way) return;
   event.preventDefault();
   way();
 });
 
-// Whether the key is one of those that review findings: of the flight that has the focus, else of the first.
-function reviews({ key, repeat, target }) {
-  const focused = views.find(({ findings }) => findings.element.contains(target));
-  const { findings } = focused ?? views[0] ?? {};
-  return Boolean(findings) && !findings.element.hidden && !repeat && findings.review.press(key, Boolean(focused));
+// What a key does; keys that parts of the page have for themselves do nothing else there.
+function wayOf(key, isRepeat, isHere, target) {
+  const finding = isRepeat ? null : view.findings.wayOf(key, isHere);
+  if (finding) return () => (view.dock.open("findings"), finding());
+  if (/^[1-9]$/.test(key)) return () => view.focus(Number(key) - 1);
+  const letters = { d: () => view.dock.flip(), f: enterFindings };
+  if (letters[key]) return letters[key];
+  if (target.closest("button, summary, input, [tabindex]:not(body)")) return null;
+  const [back, on] = [() => seek(clock.nowS - KEY_S), () => seek(clock.nowS + KEY_S)];
+  return { " ": toggle, ArrowLeft: back, ArrowRight: on, Home: () => seek(0), End: () => seek(clock.endS) }[key];
 }
 
-on("controls").hidden = false; // which do nothing without scripts
+function enterFindings() {
+  view.dock.open("findings");
+  view.findings.enter();
+}
+
+// On paper everything is light, at once.
+for (const [event, isPaper] of [["beforeprint", true], ["afterprint", false]]) {
+  addEventListener(event, () => {
+    document.documentElement.classList.toggle("paper", isPaper);
+    colours.forget();
+    show();
+    view?.map.flush();
+  });
+}
+
+on("page").hidden = false; // which does nothing without scripts
+on("bar").append(bar.element);
 write(on("connection"), "Loading the flight.");
 feed.start();
 setInterval(() => {

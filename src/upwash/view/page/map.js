@@ -32,6 +32,7 @@ export class FlightMap {
   #stories = [];
   #found = []; // by story: what was found, as its numbers are drawn
   #current = null; // the finding that is looked at
+  #only = null; // the flight whose findings are shown; those of all where it is null
 
   // A map of the drones of these logs; `chosen` is told the index of one that is clicked.
   constructor(name, { places, tiles, logs, chosen = null }) {
@@ -79,7 +80,7 @@ export class FlightMap {
     for (const touch of ["wheel", "keydown", "pointerdown"]) {
       this.frame.addEventListener(touch, () => (this.#moved = true), { passive: true });
     }
-    new ResizeObserver(() => this.#resize() && !this.#moved && this.fit()).observe(this.frame);
+    new ResizeObserver(() => isOnScreen() && this.#resize() && !this.#moved && this.fit()).observe(this.frame);
     addEventListener("beforeprint", () => this.#keepSize());
   }
 
@@ -115,7 +116,7 @@ export class FlightMap {
       });
       return [[0, 0], ...plan.waypoints_m, ...ranges, ...(this.#painted ? around(plan.waypoints_m, this.#painted) : [])].map(([east, north]) => this.ground.latLng(east, north, plan));
     });
-    if (corners.length) this.map.fitBounds(L.latLngBounds(corners), { padding: [18, 18], animate: false });
+    if (corners.length) this.map.fitBounds(L.latLngBounds(corners), { paddingTopLeft: [18, this.layers.length > 1 ? 56 : 18], paddingBottomRight: [18, 18], animate: false });
   }
 
   // Where the pointer is, or the middle of the map for those who move it by keyboard; else only whose tiles these are.
@@ -146,12 +147,13 @@ export class FlightMap {
 
   // Says where the number of each finding stands.
   #number() {
-    this.#pills.arrange(this.layers.map((layer, index) => layer.placed(this.#stories[index]?.numbered ?? [])));
+    const isShown = (index) => this.#only === null || index === this.#only;
+    this.#pills.arrange(this.layers.map((layer, index) => layer.placed(isShown(index) ? (this.#stories[index]?.numbered ?? []) : [])));
     this.layers.forEach((layer) => layer.renumber(this.#current));
   }
 
-  // Each flight at its moment, and the finding that is looked at.
-  show(moments, current) {
+  // Each flight at its moment, and the finding that is looked at: of the flight of the index `only`, or of all.
+  show(moments, current, only = null) {
     const plans = moments.map((moment) => moment.story.shownPlan);
     const homes = moments.map((moment) => moment.story.home);
     const others = plans.some((plan, index) => plan !== this.#plans[index] || homes[index] !== this.#homes[index]);
@@ -165,18 +167,18 @@ export class FlightMap {
       if (others || !this.#moved) this.fit();
     } else if (!painted && this.#painted && !this.#moved) this.fit();
     moments.forEach((moment, index) => this.layers[index].show(moment));
-    this.#showFindings(moments, current);
+    this.#showFindings(moments, current, only);
     if (moments.length > 1) this.#showUsers(moments);
     else this.#showStates(moments[0]);
     this.#arrange();
   }
 
-  #showFindings(moments, current) {
+  #showFindings(moments, current, only) {
     this.#stories = moments.map(({ story }) => story);
     const found = this.#stories.map((story) => story.found);
-    const isNew = found.some((each, index) => each !== this.#found[index]);
+    const isNew = only !== this.#only || found.some((each, index) => each !== this.#found[index]);
     const isOther = current !== this.#current;
-    [this.#found, this.#current] = [found, current];
+    [this.#found, this.#current, this.#only] = [found, current, only];
     if (isNew) this.#number();
     else if (isOther) this.layers.forEach((layer) => layer.refreshFindings(current));
   }
@@ -190,6 +192,14 @@ export class FlightMap {
     });
     const near = ({ x, y }) => labels.some(([, place]) => Math.hypot(x - place.x, y - place.y) < LABEL_PX);
     this.#labels.arrange(labels, [...taken, ...this.#pills.boxes.filter(near)]);
+  }
+
+  // Draws at once what would be drawn at the next frame, which paper does not wait for.
+  flush() {
+    for (const renderer of [this.map._renderer, ...Object.values(this.map._paneRenderers)].filter(Boolean)) {
+      renderer._redraw();
+      renderer._ctx.getImageData(0, 0, 1, 1); // Chromium prints what was drawn by then
+    }
   }
 
   // Everything is drawn anew when it is shown next, in other colours.
@@ -259,6 +269,11 @@ export class FlightMap {
       drawn.said.replaceChildren(...users.map(({ number, tone }) => badge(number, tone)));
     }
   }
+}
+
+// On paper the map stays as it was.
+function isOnScreen() {
+  return !document.documentElement.classList.contains("paper");
 }
 
 // A server that nobody uses is pale.

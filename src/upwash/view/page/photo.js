@@ -29,6 +29,7 @@ export class PhotoCard {
     this.frame = element("div", { class: "photo", hidden: "" }, this.image, this.boxes);
     this.element = card("Photo", this.frame, this.caption, this.key);
     this.element.classList.add("photos");
+    this.element.firstElementChild.className = "unseen";
     this.image.addEventListener("load", () => this.#outline());
     this.image.addEventListener("error", () => this.#lose());
   }
@@ -37,14 +38,14 @@ export class PhotoCard {
     const { story } = moment;
     this.#current = current;
     this.#open = moment.open;
-    this.element.hidden = !(story.keepsPhotos || (story.shot.length && story.told.length));
+    this.element.hidden = !(story.keepsPhotos || (story.shot.length && story.told.length) || story.goesOn);
     const last = moment.last("shot");
     const told = moment.last("told");
     const late = told && (!last || told.at_s >= last.at_s); // the drone may have taken one since
     const shot = late ? (story.shot[told.photo] ?? last) : last;
     this.#found = late ? toldOfOne(story, moment.count("told")) : [];
     if (shot !== this.#shot) this.#ask(shot, story.run);
-    this.frame.hidden = !story.keepsPhotos || (shot && (!this.#picture || shot === this.#lost));
+    this.frame.hidden = !(story.keepsPhotos || story.goesOn) || (shot && (!this.#picture || shot === this.#lost));
     write(this.caption, shot ? this.#words(shot) : "No photo was taken yet.");
     this.#outline();
   }

@@ -22,10 +22,14 @@ export class Colours {
   #known = new Map();
 
   constructor(changed) {
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
-      this.#known.clear();
-      changed();
-    });
+    this.changed = changed;
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.forget());
+  }
+
+  // They are others from now on.
+  forget() {
+    this.#known.clear();
+    this.changed();
   }
 
   of(name) {
@@ -47,10 +51,10 @@ export class Places {
 
   // Makes room for these; whether any was new.
   know(servers, operations) {
-    const before = this.#servers.length + this.operations.length;
-    this.#servers = union(this.#servers, servers);
-    this.operations = union(this.operations, operations);
-    return this.#servers.length + this.operations.length > before;
+    const [allServers, allOperations] = [union(this.#servers, servers), union(this.operations, operations)];
+    const isNew = allServers.length > this.#servers.length || allOperations.length > this.operations.length;
+    if (isNew) [this.#servers, this.operations] = [allServers, allOperations];
+    return isNew;
   }
 
   style(place) {
@@ -134,6 +138,20 @@ function union(some, others) {
 // The order of names as people count: pole2 before pole10. `support/text.py` has the same.
 export function byName(one, other) {
   return NAMES.compare(one, other) || (one < other ? -1 : Number(one > other));
+}
+
+// An operation as people call it, beside these others: "detector (heavy)" for detector.process_photo[heavy]; with the method
+// where the service has several.
+export function titleOf(operation, operations) {
+  const { service, method, mode } = partsOf(operation);
+  const methods = new Set(operations.map(partsOf).filter((each) => each.service === service).map((each) => each.method));
+  const title = [service, methods.size > 1 ? method : ""].filter(Boolean).join(" ").replaceAll("_", " ");
+  return mode ? `${title} (${mode})` : title;
+}
+
+function partsOf(operation) {
+  const [, service, method = "", mode = ""] = /^(.*?)(?:\.(.*?))?(?:\[(.*)\])?$/s.exec(operation);
+  return { service, method, mode };
 }
 
 export function nameOf(place) {

@@ -1,18 +1,9 @@
 // What a person decides about the finding that is selected: accepted or rejected, another label, a note.
 
-import { element, write } from "./element.js";
+import { element, keyOf, write } from "./element.js";
 import { wordsOf } from "./found.js";
 
 const LONGEST = { label: 100, note: 1000, reviewer: 100 };
-const KEYS = [
-  ["n", "next"],
-  ["p", "previous"],
-  ["a", "accept"],
-  ["r", "reject"],
-  ["l", "label"],
-  ["m", "note"],
-  ["u", "undo"],
-];
 const OPEN = { verdict: "open", label: "", note: "" };
 let forms = 0; // on the page, each with names of its own
 
@@ -33,34 +24,31 @@ export class ReviewPanel {
     this.advance = advance;
     this.changed = changed;
     this.about = element("p", { class: "target" });
+    this.crop = element("span", { class: "crop" });
     this.accept = this.#button("Accept", "a", () => this.#decide("accepted"));
     this.reject = this.#button("Reject", "r", () => this.#decide("rejected"));
     this.undo = this.#button("Undo", "u", () => this.#takeBack());
     this.form = this.#makeForm();
-    this.more = element("details", { class: "more" }, element("summary", {}, "Label, note"), this.form);
+    this.more = element("details", { class: "more" }, element("summary", {}, "Label ", keyOf("l"), " or note ", keyOf("m")), this.form);
     this.tally = element("span", { class: "tally" });
-    this.rejected = element("input", { type: "checkbox" });
-    this.rejected.addEventListener("change", () => this.#showRejected());
-    this.all = element("label", { class: "all", hidden: "" }, this.rejected, " show rejected");
     this.downloads = element("span", { class: "made" });
     this.remarks = element("p", { class: "note" });
     this.said = element("p", { class: "said", role: "status" });
-    const keys = KEYS.flatMap(([key, does]) => [" ", element("span", {}, element("kbd", {}, key), ` ${does}`)]);
     this.element = element(
       "section",
       { class: "review", "aria-label": `Review, ${name}` },
-      element("p", { class: "count" }, this.tally, this.all, this.downloads),
+      this.crop,
       this.about,
       element("div", { class: "verdicts" }, this.accept, this.reject, this.undo),
+      element("p", { class: "count" }, this.tally, this.downloads, element("span", { class: "keys" }, keyOf("n"), " next ", keyOf("p"), " previous")),
       this.more,
-      element("p", { class: "note keys" }, "Keys:", ...keys),
       this.remarks,
       this.said,
     );
   }
 
   #button(words, key, act) {
-    const button = element("button", { type: "button", "aria-keyshortcuts": key, title: `Key ${key}` }, words);
+    const button = element("button", { type: "button", "aria-keyshortcuts": key, title: `Key ${key}` }, words, " ", keyOf(key));
     button.addEventListener("click", act);
     return button;
   }
@@ -109,11 +97,14 @@ export class ReviewPanel {
     [this.fields.label.value, this.fields.note.value] = [label, note];
     if (!target) {
       this.about.replaceChildren("Select a finding to review it.");
+      this.crop.replaceChildren();
       return;
     }
     const { finding } = target;
     const shown = wordsOf({ ...finding, score: finding.surest ?? undefined });
-    this.about.replaceChildren(element("span", { class: "number" }, String(finding.no)), " ", element("bdi", {}, shown));
+    const number = element("span", { class: "number" }, String(finding.no));
+    this.about.replaceChildren(number, " ", element("bdi", {}, shown));
+    this.crop.replaceChildren(...(target.source ? [element("img", { alt: "", src: target.source })] : []));
     const known = new Set(this.stories.flatMap((story) => story.objects.map((each) => reviewOf(each).label || each.what)));
     this.labels.replaceChildren(...[...known].sort().map((each) => element("option", { value: each })));
   }
@@ -126,7 +117,6 @@ export class ReviewPanel {
     const rejected = all.filter(({ verdict }) => verdict === "rejected").length;
     const reviewed = all.filter(({ verdict }) => verdict !== "open").length;
     write(this.tally, `${reviewed} of ${all.length} reviewed${rejected ? `, ${rejected} rejected` : ""}`);
-    this.all.hidden = !rejected && !this.rejected.checked;
     write(this.remarks, this.stories[0].found.remarks.map(sentence).join(" "));
     this.remarks.hidden = !this.remarks.textContent;
   }
@@ -145,16 +135,17 @@ export class ReviewPanel {
     this.downloads.replaceChildren(...links);
   }
 
-  // What a key does here; whether it does something. Keys that change a review are those of this part of the page alone.
-  press(key, isHere) {
-    if (key === "n" || key === "p") this.move(key === "n" ? 1 : -1);
-    else if (!isHere) return false;
-    else if (key === "a" && this.#target) this.#decide("accepted");
-    else if (key === "r" && this.#target) this.#decide("rejected");
-    else if (key === "u") this.#takeBack();
-    else if ((key === "l" || key === "m") && this.#target) this.#unfold(key === "l" ? this.fields.label : this.fields.note);
-    else return false;
-    return true;
+  // What a key does here, if it does something. Keys that change a review are those of this part of the page alone.
+  wayOf(key, isHere) {
+    const ways = { n: () => this.move(1), p: () => this.move(-1) };
+    const own = { u: () => this.#takeBack() };
+    const ofTarget = {
+      a: () => this.#decide("accepted"),
+      r: () => this.#decide("rejected"),
+      l: () => this.#unfold(this.fields.label),
+      m: () => this.#unfold(this.fields.note),
+    };
+    return ways[key] ?? (isHere ? (own[key] ?? (this.#target ? ofTarget[key] : null)) : null);
   }
 
   #unfold(field) {
@@ -211,11 +202,6 @@ export class ReviewPanel {
 
   #set({ finding }, review) {
     for (const story of this.stories) story.review(finding.no, review);
-    this.changed();
-  }
-
-  #showRejected() {
-    for (const story of this.stories) story.showRejected(this.rejected.checked);
     this.changed();
   }
 }

@@ -1,5 +1,6 @@
-// Each server: its state in a word and a colour, why, how far away it is (bold in its range), and its calls. Many scroll.
+// Each server: its state in a word and a colour, why, how far away it is (bold in its range), its calls, and what these saved. Many scroll.
 
+import { lasting } from "./clock.js";
 import { card, element, scrolled, table, write } from "./element.js";
 import { inBrief } from "./places.js";
 
@@ -14,9 +15,10 @@ export class ServerList {
   constructor(places, name) {
     this.places = places;
     this.body = element("tbody");
-    const list = table(["server", "state", "away", "calls"], this.body, { class: "servers" });
+    const list = table(["server", "state", "away", "calls", "saved"], this.body, { class: "servers" });
     this.more = element("p", { class: "note" });
-    this.element = card("Servers", scrolled(list, `Servers, ${name}`, "scroll many"), this.more);
+    this.about = element("p", { class: "note" });
+    this.element = card("Servers", scrolled(list, `Servers, ${name}`, "scroll many"), this.more, this.about);
   }
 
   show(moment) {
@@ -36,8 +38,12 @@ export class ServerList {
       write(row.away, words);
       write(row.inside, isInside ? ", in range" : "");
       row.away.classList.toggle("inside", isInside);
-      write(row.calls, String(places.get(server) ?? 0));
+      const calls = places.get(server) ?? 0;
+      const saved = moment.savedAt(server);
+      write(row.calls, String(calls));
+      write(row.saved, saved === null ? (calls ? "?" : "") : lasting(saved));
     }
+    write(this.about, whatIsSaved(moment));
   }
 
   #begin(servers) {
@@ -46,14 +52,21 @@ export class ServerList {
     this.body.replaceChildren();
     for (const server of servers) {
       const row = {
-        state: element("span"), why: element("span", { class: "means" }), away: element("span"), inside: element("span", { class: "unseen" }), calls: element("td"),
+        state: element("span"), why: element("span", { class: "means" }), away: element("span"), inside: element("span", { class: "unseen" }), calls: element("td"), saved: element("td"),
       };
       const name = element("th", { scope: "row", title: server }, this.places.icon(server), ` ${inBrief(server, NAME)}`);
       const state = element("td", {}, element("div", {}, row.state, " ", row.why));
-      this.body.append(element("tr", {}, name, state, element("td", {}, row.away, row.inside), row.calls));
+      this.body.append(element("tr", {}, name, state, element("td", {}, row.away, row.inside), row.calls, row.saved));
       this.#rows.set(server, row);
     }
   }
+}
+
+// Against what the column counts, or why it cannot.
+function whatIsSaved(moment) {
+  if (moment.count("going")) return "What a server saved is not known: the drone flew on before answers.";
+  if (!moment.localDelays.size && moment.calls.count) return "What a server saved is not known before a call has run on the drone.";
+  return "Saved: against the mean delay of such calls on the drone so far, without those that fell back.";
 }
 
 function away(range, position) {

@@ -13,7 +13,7 @@ const MOVED_M = 0.5; // less may be the position's noise
 
 export class Story {
   #listed; // the servers that the page shows, and of which
-  #showsRejected = false;
+  #wanted = ({ review }) => review?.verdict !== "rejected"; // which findings a person wants to see
 
   constructor(name) {
     this.name = name;
@@ -49,7 +49,8 @@ export class Story {
     this.courses = []; // which way, in degrees from north, the drone came to each fix; null before it moved
     this.moved = null; // the fix at which it had last moved
     this.delays = { place: new Totals(), operation: new Totals(), local: new Totals() }; // of the calls
-    this.found = { words: "", numbers: [], objects: {}, reviews: {}, remarks: [] }; // in a sentence, by numbers, objects by their first sightings, reviews by number
+    this.delaysAt = new Map(); // by place: those of its calls by operation
+    this.found = { words: "", nouns: {}, numbers: [], objects: {}, reviews: {}, remarks: [] }; // in a sentence, by numbers, objects by their first sightings, reviews by number
     this.waits = new Totals();
     this.hidden = new Totals();
     this.others = []; // the same calls under other policies
@@ -69,7 +70,9 @@ export class Story {
     this.told.forEach((told, index) => {
       const { sightings, surest, best, ...place } = found.objects[index] ?? {};
       const no = found.numbers[index];
-      Object.assign(told, { index, no, review: found.reviews[no], sightings, surest, best }, place);
+      const review = found.reviews[no];
+      const noun = review?.label || found.nouns[told.what] || told.what;
+      Object.assign(told, { index, no, noun, review, sightings, surest, best }, place);
     });
   }
 
@@ -78,9 +81,9 @@ export class Story {
     this.number({ ...this.found, reviews: { ...this.found.reviews, [no]: review } });
   }
 
-  // Whether rejected findings are shown too.
-  showRejected(shows) {
-    this.#showsRejected = shows;
+  // From now on only these findings are shown.
+  want(wanted) {
+    this.#wanted = wanted;
     this.number({ ...this.found });
   }
 
@@ -94,8 +97,8 @@ export class Story {
     return this.objects.filter((finding) => this.shows(finding));
   }
 
-  shows({ no, review }) {
-    return no !== undefined && (this.#showsRejected || review?.verdict !== "rejected");
+  shows(finding) {
+    return finding.no !== undefined && this.#wanted(finding);
   }
 
   #takeFact(fact) {
@@ -190,6 +193,8 @@ export class Story {
     this.operations.add(operation);
     this.delays.place.add(place, at_s, delay_s);
     this.delays.operation.add(operation, at_s, delay_s);
+    if (!this.delaysAt.has(place)) this.delaysAt.set(place, new Totals());
+    this.delaysAt.get(place).add(operation, at_s, delay_s);
     if (place === "local") this.delays.local.add(operation, at_s, delay_s - waited_s - queued_s);
     else {
       this.known.add(place);
@@ -439,9 +444,19 @@ class Moment {
   // What offloading saved so far, at the mean local delays so far; null where an operation has not run on the drone, or
   // the drone has gone on before an answer was there.
   get savedS() {
+    return this.#saved(this.story.delays.operation);
+  }
+
+  // What the calls at a place saved of that, calls that fell back to the drone not counted; null where it has none.
+  savedAt(place) {
+    const there = this.story.delaysAt.get(place);
+    return there?.until(this.atS).size ? this.#saved(there) : null;
+  }
+
+  #saved(delays) {
     if (this.count("going")) return null;
     const local = this.localDelays;
-    const all = [...this.story.delays.operation.until(this.atS)];
+    const all = [...delays.until(this.atS)];
     if (!all.every(([operation]) => local.has(operation))) return null;
     return all.reduce((saved, [operation, { sum, number }]) => saved + number * local.get(operation).mean - sum, 0);
   }

@@ -14,7 +14,8 @@ export function guardWheel(frame, words, { byClick = false } = {}) {
   frame.addEventListener("click", () => (isEntered = byClick));
   frame.addEventListener("pointerleave", () => show((isEntered = false)));
   const take = (event) => {
-    const zooms = isEntered || event.ctrlKey || event.metaKey;
+    const isAlone = byClick && document.documentElement.scrollHeight <= innerHeight; // nothing else could be meant
+    const zooms = isAlone || isEntered || event.ctrlKey || event.metaKey;
     show(!zooms);
     clearTimeout(timer);
     timer = setTimeout(show, HINT_MS, false);

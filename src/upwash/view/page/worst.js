@@ -1,7 +1,7 @@
 // The calls so far that took longest beyond what was expected of the best place for them; a click goes to one.
 
 import { told } from "./clock.js";
-import { element } from "./element.js";
+import { card, element } from "./element.js";
 
 const MOST = 5;
 
@@ -11,7 +11,9 @@ export class WorstCalls {
   constructor(picked) {
     this.picked = picked;
     this.list = element("ol");
-    this.element = element("div", { class: "worst", hidden: "" }, element("h4", {}, "Worst calls"), this.list);
+    this.element = card("Worst calls", this.list);
+    this.element.classList.add("worst");
+    this.element.hidden = true;
   }
 
   show(moment) {
