@@ -162,7 +162,7 @@ def test_what_is_folded_is_not_printed_and_no_figure_is_cut_from_its_heading(
         assert page.run("return getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
         kept = "return [...document.querySelectorAll('h2, .note')].map((each) => getComputedStyle(each).breakAfter)"
         assert set(page.run(kept)) == {"avoid"}
-        torn = page.each("#page, main, main > div", "getComputedStyle(each).display")
+        torn = page.each("#page, main, .dock, .panel", "getComputedStyle(each).display")
         assert not {"grid", "flex"} & set(torn), "parts of a grid cover each other where a page ends"
     finally:
         page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
@@ -179,6 +179,24 @@ def test_without_scripts_it_has_words_and_tables_and_no_dead_controls(page: Brow
     assert "A person had to act" in shown
     assert "Play" not in shown
     assert "Loading" not in shown
+
+
+def test_what_is_drawn_on_a_dark_screen_is_drawn_light_before_it_is_printed(page: Browser, few: str) -> None:
+    darkest = (
+        "const canvas = document.querySelector('.lanes canvas');"
+        "const { data } = canvas.getContext('2d').getImageData(0, 0, 92, canvas.height);"
+        "let least = 765; for (let i = 0; i < data.length; i += 4)"
+        " if (data[i + 3] > 250) least = Math.min(least, data[i] + data[i + 1] + data[i + 2]); return least"
+    )
+    page.open(few, width=1400, scheme="dark")
+    page.drawn()
+    dark = page.run(darkest)
+    assert page.run(f"dispatchEvent(new Event('beforeprint')); {darkest}") < 120 < dark, "the lanes' names"
+    assert (
+        page.run("return getComputedStyle(document.querySelector('.map')).backgroundColor")
+        == "rgb(244, 246, 248)"
+    )
+    assert page.run(f"dispatchEvent(new Event('afterprint')); {darkest}") == dark
 
 
 def test_it_prints_on_a4_with_its_map(page: Browser, few: str) -> None:

@@ -84,7 +84,7 @@ def test_findings_are_reviewed_by_keyboard_alone(page: Browser, address: str, lo
     press(page, "u", "u", "u")
     page.wait_until(lambda: not any(each.is_reviewed for each in kept(log).everything))
     page.wait_until(lambda: page.text(".finds [aria-current] .number") == "1")
-    press(page, Keys.ARROW_DOWN, Keys.ARROW_DOWN, Keys.ARROW_UP)
+    press(page, "n", Keys.ARROW_DOWN, Keys.ARROW_UP)
     assert page.driver.switch_to.active_element.text.startswith("2 "), "arrows go through the list"
     assert page.each(".finds button", "each.tabIndex") == [-1, 0, -1, -1], "Tab leaves it at once"
     assert page.violations() == []

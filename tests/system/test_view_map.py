@@ -121,7 +121,11 @@ def test_on_a_phone_what_is_beside_the_map_slides_up_over_it(page: Browser, one:
     before = [boxes(page, part) for part in parts]
     for name in ("now", "findings", "servers", "why"):
         page.open_tab(name)
-        (panel,), (tabs,), (notices,) = boxes(page, f".of-{name}"), boxes(page, ".tabs"), boxes(page, "#notices")
+        (panel,), (tabs,), (notices,) = (
+            boxes(page, f".of-{name}"),
+            boxes(page, ".tabs"),
+            boxes(page, "#notices"),
+        )
         assert notices[3] <= panel[1] and panel[3] <= tabs[1] + 1
         assert [boxes(page, part) for part in parts] == before
         assert page.width() <= 390

@@ -12,7 +12,15 @@ from dataclasses import dataclass, replace
 import msgspec
 
 from upwash.eventlog.results import RunResult
-from upwash.report.numbering import FlightFindings, Numbered, are_a_fleet, noun_of, numbered, offset_m, what_was_found
+from upwash.report.numbering import (
+    FlightFindings,
+    Numbered,
+    are_a_fleet,
+    noun_of,
+    numbered,
+    offset_m,
+    what_was_found,
+)
 from upwash.report.outcome import what_it_came_to
 from upwash.report.record import names_of
 from upwash.report.reviewed import ReviewedFindings, with_reviews

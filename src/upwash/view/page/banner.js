@@ -22,7 +22,7 @@ export class Banner {
   }
 }
 
-// One line, and the others behind "+2 more", which stays open or closed while they change.
+// One notice as far as the row has room, and all of it with the others behind "+2 more", which stays open or closed while they change.
 class Notice {
   constructor(where) {
     this.where = where;
@@ -35,9 +35,10 @@ class Notice {
 
   show([first, ...others]) {
     this.where.hidden = !first;
-    this.rest.hidden = !others.length;
     fill(this.first, first ?? ["", ""]);
-    write(this.count, `+${others.length} more`);
+    const isCut = !this.rest.open && this.first.scrollHeight > this.first.clientHeight + 1;
+    this.rest.hidden = !others.length && !isCut && !this.rest.open;
+    write(this.count, others.length ? `+${others.length} more` : "more");
     while (this.others.children.length > others.length) this.others.lastElementChild.remove();
     while (this.others.children.length < others.length) this.others.append(element("p"));
     others.forEach((line, index) => fill(this.others.children[index], line));

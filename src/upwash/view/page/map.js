@@ -196,10 +196,7 @@ export class FlightMap {
 
   // Draws at once what would be drawn at the next frame, which paper does not wait for.
   flush() {
-    for (const renderer of [this.map._renderer, ...Object.values(this.map._paneRenderers)].filter(Boolean)) {
-      renderer._redraw();
-      renderer._ctx.getImageData(0, 0, 1, 1); // Chromium prints what was drawn by then
-    }
+    for (const renderer of [this.map._renderer, ...Object.values(this.map._paneRenderers)].filter(Boolean)) renderer._redraw();
   }
 
   // Everything is drawn anew when it is shown next, in other colours.
