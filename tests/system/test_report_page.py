@@ -147,6 +147,23 @@ def test_of_many_flights_the_one_that_is_shown_comes_after_the_summary(page: Bro
     assert page.text(".aside").startswith("ill · ")
 
 
+def test_of_four_flights_of_a_drone_each_can_be_chosen(
+    page: Browser, tmp_path: Path, logs: tuple[Path, Path]
+) -> None:
+    copies = [tmp_path / f"{number}.jsonl" for number in range(4)]
+    for copy in copies:
+        copy.write_bytes(logs[0].read_bytes())
+    page.open(page_about(*copies, at=tmp_path / "four.html"))
+    page.wait_until(lambda: page.text(".aside").startswith("0 · "))
+    page.find(".which select").send_keys("2")
+    page.wait_until(lambda: page.text(".aside").startswith("2 · "))
+    page.click("#hide")
+    assert not page.find(".dock").is_displayed(), "one click hides it, whichever flight is shown"
+    page.click("#hide")
+    assert page.find(".dock").is_displayed() and len(page.all(".map")) == 1
+    assert page.errors() == []
+
+
 def test_what_is_folded_is_not_printed_and_no_figure_is_cut_from_its_heading(
     page: Browser, many: str
 ) -> None:

@@ -115,7 +115,7 @@ def test_a_drone_that_turns_back_for_an_answer_is_shown_to(page: Browser, tmp_pa
         assert page.text(".now h3").endswith("at waypoint 2")
         assert [row[0] for row in page.rows(".calls-table")] == ["0", "1", "2"]
         page.seek(round(turned_s + 11.0, 1))
-        assert "at waypoint 2," in page.text(".photos")  # the photo that the user is told of
+        assert "at waypoint 2" in page.text(".photos")  # the photo that the user is told of
         assert page.errors() == []
 
 

@@ -180,7 +180,7 @@ def test_a_click_on_another_drones_finding_shows_that_drone_and_its_photo(
         page.drawn()
         assert page.text(".finds [aria-current] .number") == "2"
         said = page.text(".photos p")
-        assert said.startswith("Photo 1, at waypoint 4, ")
+        assert said.startswith("Photo 1, at waypoint 4.")
         assert said.endswith("Finding 2: crack 2.")
         assert page.moment() == APART_S + 18, "the second drone's, by the clock of all"
         page.open_tab("now")

@@ -85,6 +85,9 @@ def test_nothing_moves_in_a_flight(page: Browser, tmp_path: Path, width: int, he
             page.wait_until(lambda: float(page.find("#time").get_attribute("max") or 0) >= round(last_s, 1))  # noqa: B023 - it is called before the next
             assert places() == first
         assert page.text(".who") == "LANDED" and page.text("#tab-findings") != "Findings"
-        assert page.find(".photo img").get_attribute("src") and page.all(".finds li")
+        page.wait_until(
+            lambda: page.find(".photo img").get_attribute("src")
+        )  # the page waits for the last of many
+        assert page.all(".finds li")
         assert page.run("return document.documentElement.scrollHeight <= innerHeight")
         assert page.errors() == []

@@ -289,7 +289,9 @@ def test_findings_are_sorted_and_filtered_in_the_list_and_on_the_map(page: Brows
         assert "2 of 3 shown" in page.text(".choice")
         assert inked(page) < before, "the others are not on the map"
         assert choose("Label", "broken module") == ["3"], "which people call so"
-        page.find("body").send_keys("n", "r")
+        for key in "nr":
+            ActionChains(page.driver).send_keys(key).perform()
+            page.drawn()
         page.wait_until(lambda: numbers() == [])
         assert choose("Review", "rejected") == ["3"]
         assert choose("Label", "any label") == ["3"]

@@ -20,8 +20,8 @@ export class Dock {
     const list = element("div", { class: "tabs", role: "tablist", "aria-label": "Details" }, ...this.tabs.values());
     list.addEventListener("keydown", (event) => this.#step(event));
     this.element = element("div", { class: "dock" }, element("h2", { class: "unseen" }, "Details"), list, ...this.panels.values());
-    toggle.addEventListener("click", () => this.flip());
-    PHONE.addEventListener("change", () => this.open(PHONE.matches ? null : this.#first));
+    toggle.onclick = () => this.flip(); // and none before it
+    PHONE.onchange = () => this.open(PHONE.matches ? null : this.#first);
     this.open(PHONE.matches ? null : this.#first);
   }
 

@@ -7,7 +7,6 @@ import { DroneList } from "./drones.js";
 import { write } from "./element.js";
 import { Findings } from "./findings.js";
 import { Flight } from "./flight.js";
-import { Lanes } from "./lanes.js";
 import { FlightMap } from "./map.js";
 
 const on = (id) => document.getElementById(id);
@@ -16,8 +15,8 @@ export class Flights {
   #focus = 0;
 
   // Of these logs' stories, whose first is of that `log`; `together` says that they are of several drones.
-  constructor(stories, log, { places, tiles, picked, desk, changed, together }) {
-    Object.assign(this, { stories, changed, together });
+  constructor(stories, log, { places, lanes, tiles, picked, desk, changed, together }) {
+    Object.assign(this, { stories, lanes, changed, together });
     const many = stories.length > 1;
     const all = together ? "drones" : "flights";
     const logs = stories.map((_, index) => log + index);
@@ -37,7 +36,6 @@ export class Flights {
       this.dock.open("findings");
       this.flights[stories.indexOf(story)].findings.select(story, finding);
     };
-    this.lanes = new Lanes(on("lanes"), on("time"), places, changed);
     this.dock = new Dock([...(many ? [all] : []), "now", "findings", "servers", "why"], on("hide"), changed);
     if (many) {
       this.dock.fill({ [all]: [this.list.element] });

@@ -6,6 +6,7 @@ import { Clock, secondsOf, told } from "./clock.js";
 import { element, write } from "./element.js";
 import { Feed } from "./feed.js";
 import { Flights } from "./flights.js";
+import { Lanes } from "./lanes.js";
 import { Colours, Places } from "./places.js";
 import { STALE_S } from "./story.js";
 import { align } from "./timeline.js";
@@ -22,6 +23,7 @@ const colours = new Colours(() => {
   if (view) refresh();
 });
 const places = new Places(colours);
+const lanes = new Lanes(on("lanes"), on("time"), places, refresh);
 const banner = new Banner(on("alarms"), on("cautions"));
 const bar = new Bar();
 let view = null; // all flights that are shown
@@ -55,7 +57,7 @@ const feed = new Feed({
 });
 
 function setView(stories, log, { tiles, together }) {
-  view = new Flights(stories, log, { places, tiles, picked, desk, changed: refresh, together });
+  view = new Flights(stories, log, { places, lanes, tiles, picked, desk, changed: refresh, together });
   view.summarize(summaries);
   on("flights").replaceChildren(...view.elements);
 }

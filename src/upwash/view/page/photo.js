@@ -76,7 +76,8 @@ export class PhotoCard {
     const said = this.#found.map((finding) => ` Finding ${finding.no}: ${wordsOf(finding)}.`).join("");
     const missing = this.#picture && shot !== this.#lost ? "" : " It was not kept where this page can find it.";
     const open = this.#open.some(({ waypoint }) => waypoint === shot.waypoint) ? " Its answer is not there." : "";
-    return `Photo ${shot.number + 1}, ${where}, from ${shot.source}.${said}${open}${missing}`;
+    const file = /\.\w+$/.test(shot.source) ? `, from ${shot.source}` : ""; // what has no file has no name that people know
+    return `Photo ${shot.number + 1}, ${where}${file}.${said}${open}${missing}`;
   }
 
   #outline() {
