@@ -30,7 +30,7 @@ Writer = Callable[[Sequence[Record]], bytes | Iterable[bytes]]
 
 ARGUMENTS = {
     "logs LOG": reads("an event log, flown or simulated", nargs="+"),
-    "-o --out FILE": writes("an HTML page about all of them, side by side"),
+    "-o --out FILE": writes("an HTML page about all of them, on one map"),
     "--csv FILE": writes("a row for each call; - prints it"),
     "--geojson FILE": writes("tracks, waypoints, ranges, calls and photos"),
     "--findings FILE": writes(

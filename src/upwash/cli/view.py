@@ -16,8 +16,8 @@ _NICENESS = 10  # a flight that goes on beside it comes first, and the page is n
 
 ARGUMENTS = {
     "logs LOG": reads(
-        "event logs, of flights under way or over: those of several drones are shown on one map, those of one "
-        "drone side by side",
+        "event logs, of flights under way or over: those of several drones are shown on one map, and up to three of "
+        "one drone",
         nargs="+",
     ),
     "--port": option(f"on this machine (default: {LIVE_PORT}; 0: any)", type=port, default=LIVE_PORT),
