@@ -15,6 +15,7 @@ from upwash.config.drone import DroneConfig
 from upwash.config.places import server_places, true_areas
 from upwash.config.truth import server_truth
 from upwash.config.world import FaultConfig
+from upwash.core.call import steps
 from upwash.core.call.call import Call
 from upwash.core.call.calls import Calls
 from upwash.core.geo import Position, ground_distance_m
@@ -56,7 +57,9 @@ def stoppable(stops: bool) -> Iterator[None]:
         over(self, call)
         if call.own is not None and call.own.is_open:
             call.own.state = "failed"
-            self.forget_own(call.own)
+            if call.own.began_s is not None:
+                self.do(steps.Stop(call.own))
+            self.end_own(call.own)
 
     with patch.object(Calls, "over", stops_own):
         yield

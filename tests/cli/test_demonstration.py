@@ -88,20 +88,22 @@ def test_so_many_drones_are_refused(number: str, capsys: pytest.CaptureFixture[s
 
 def progress(drones: Sequence[str]) -> tuple[FleetProgress, io.StringIO]:
     output = io.StringIO()
-    return FleetProgress(drones, 12, Console(file=output, width=200)), output
+    return FleetProgress(drones, ["s1"], 12, Console(file=output, width=200)), output
 
 
-def test_lines_begin_with_the_drone_and_the_time_that_all_share() -> None:
+def test_lines_begin_with_the_drone_and_the_time_of_its_own_mission() -> None:
     shown, output = progress(["heron", "kingfisher"])
     with shown:
-        shown.follow("heron", event("log_opened", 0.0, time="2026-01-01T00:00:00+00:00"))
-        shown.follow("heron", event("landed", 7.0))
-        shown.follow("kingfisher", event("log_opened", 0.0, time="2026-01-01T00:00:03+00:00"))
+        shown.follow("heron", event("mission_started", 1.0, policy="look-ahead", waypoints=4))
+        shown.follow("heron", event("armed", 3.0))
+        shown.follow("heron", event("landed", 70.0))
         shown.follow("kingfisher", event("landed", 5.5))
         shown.say("heron", "upwash: the \x1b[31mend")
     assert output.getvalue().splitlines() == [
-        "heron           7.0 s  landed",
-        "kingfisher      8.5 s  landed",
+        "heron         [0:01]    mission started, policy look-ahead; ● drone  ■ s1",
+        "heron           0:00    armed",
+        "heron           1:07    landed",
+        "kingfisher    [0:05]    landed",
         "heron       upwash: the \\x1b[31mend",
     ]
 

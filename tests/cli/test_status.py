@@ -64,6 +64,22 @@ def test_a_slot_that_is_held_names_the_peer_that_asked_and_turns_may_have_no_end
     ]
 
 
+@pytest.mark.parametrize(
+    ("slots", "why", "said"),
+    [
+        (224, "detector is not measured yet", "s1: 0 slots in use, not limited"),
+        (224, "configured", "s1: 0 of 224 slots in use"),
+        (7, "a drone keeps detector busy for 14 % of its time", "s1: 0 of 7 slots in use"),
+    ],
+)
+def test_a_number_of_slots_that_no_crowd_reaches_is_no_limit(slots: int, why: str, said: str) -> None:
+    instance = {"service": "detector", "state": "absent", "endpoint": "", "unused_s": 0.0}
+    server = {"name": "s1", "slots": slots, "slots_why": why, "leases": [], "instances": [instance]}
+    lines = printed([server])
+    assert said in lines
+    assert any(line.split("  ")[1:] and "starts on demand" in line for line in lines)
+
+
 def test_it_says_how_often_another_version_took_over_and_why_the_last_one_did_not() -> None:
     host = AdmissionController({"s1": ServerOffer(frozenset({"scale"}), slots=1)})
     drone, outdated = Client("heron"), frozenset({("s1", "scale")})

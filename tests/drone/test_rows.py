@@ -21,8 +21,8 @@ from upwash import Drone, Position, Waypoint
 from upwash.config.drone_file import read_drone_config
 from upwash.config.places import waypoints
 from upwash.config.world import FaultConfig
-from upwash.core.call.calls import Calls
 from upwash.core.geo import ground_distance_m
+from upwash.core.selection.selection import Selection
 from upwash.errors import AutopilotOverruled, CameraError, MissionStopped, ReserveReached
 from upwash.eventlog import schema
 from upwash.ports import Photo
@@ -396,14 +396,14 @@ def test_a_photo_that_fails_leaves_the_others() -> None:
 
 def test_a_defect_of_offloading_holds_up_no_call_in_line() -> None:
     """The third decision raises, with calls in line."""
-    decide, count = Calls.decide, itertools.count()
+    decide, count = Selection.decide, itertools.count()
 
-    def fails(self: Calls, *call: Any, **more: Any) -> Any:
+    def fails(self: Selection, *call: Any, **more: Any) -> Any:
         if next(count) == 2:
             raise KeyError("a defect")
         return decide(self, *call, **more)
 
-    with patch.object(Calls, "decide", fails):
+    with patch.object(Selection, "decide", fails):
         part = fly(rows())
     assert part.error is None
     assert len(of(part.events, schema.OffloadingFailed)) == 1

@@ -444,7 +444,7 @@ def test_a_person_is_told_in_words(action: SafeEnd) -> None:
     progress = Progress(["s1"], 4, console)
     for each in scene.journal.events:
         progress.follow(each)
-    print_result(scene.result, console, paced=False, servers=True)
+    print_result(scene.result, scene.journal.events, console, paced=False, servers=True)
     told = console.file.getvalue()  # type: ignore[attr-defined]
     assert {"return": "returning to land", "land": "landing where it is", "hold": "stopping"}[action] in told
     assert "1 of 4 waypoints reached, left undone: 1-3" in told

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import pytest
 from tests.events import event
 
-from upwash.eventlog.progress import clock
 from upwash.eventlog.reasons import CallText, explained_calls, worst_of
 from upwash.eventlog.schema import Event
+from upwash.support.text import clock
 
 OPERATION = "detector.count"
 HERE, FAR = (
@@ -110,7 +110,7 @@ FAILED = step("call_failed_in_range", 80.0, "BLACKLISTED", why="s1 at 10.0.0.1:5
         ),
         (
             [decided(100.0, position=FAR), ended(110.0, 10.0)],
-            "Ran on the drone in 10.00 s because no server was in range: the range of s1 ended 25 m away.",
+            "Ran on the drone in 10.00 s because no server was in range: s1 ends 25 m away.",
         ),
         (
             [FAILED, decided(100.0), ended(110.0, 10.0)],
@@ -141,7 +141,7 @@ FAILED = step("call_failed_in_range", 80.0, "BLACKLISTED", why="s1 at 10.0.0.1:5
                 at_s1(100.0, "CHECK", decision="local", server=None, why="too late to pay off"),
                 ended(110.0, 10.0),
             ],
-            "Ran on the drone in 10.00 s because s1, checked since 1:24 and not ready yet, was not worth the wait: "
+            "Ran on the drone in 10.00 s because s1, joining since 1:24 and not ready yet, was not worth the wait: "
             "5.50 s of wait and 0.70 s expected there, 10.00 s on the drone.",
         ),
         (

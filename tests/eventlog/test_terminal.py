@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 from collections.abc import Iterable
 
 import pytest
@@ -33,7 +32,7 @@ def lines(events: Iterable[Event]) -> list[str]:
     with Progress(["s1"], 4, Console(file=output, width=300)) as progress:
         for each in sorted(events, key=lambda each: each.t):
             progress.follow(each)
-    return [re.split(r" s\]?  ", line, maxsplit=1)[1] for line in output.getvalue().splitlines()]
+    return [line[10:].strip() for line in output.getvalue().splitlines()]
 
 
 @pytest.mark.parametrize("kind", [kind_of(cls) for cls in EVENTS])
@@ -55,8 +54,8 @@ def test_a_line_before_the_mission_began_has_the_logs_seconds_in_brackets() -> N
             event("took_off", 5.5, altitude_m=20),
         ):
             progress.follow(each)
-    times = [re.split("  (?=[a-z])", line)[0].strip() for line in output.getvalue().splitlines()]
-    assert times == ["[0.4 s]", "[1.0 s]", "0.0 s", "2.5 s"]
+    times = [line[:10].strip() for line in output.getvalue().splitlines()]
+    assert times == ["[0:00]", "[0:01]", "0:00", "0:02"]
 
 
 def test_on_rows_a_call_is_told_at_its_own_photo_and_stops_are_told() -> None:
@@ -72,21 +71,21 @@ def test_on_rows_a_call_is_told_at_its_own_photo_and_stops_are_told() -> None:
         ]
     )
     assert said[1:] == [
-        "waypoint 1: o on s1, 0.40 s (server ready)",
-        "waypoint 0: o on s1, 9.00 s, 8.6 s of that in line (server ready)",
+        "■ waypoint 1: o on s1, 0.40 s",
+        "■ waypoint 0: o on s1, 9.00 s, 8.6 s of that in line",
         "stopping on the row: 2 photos without an answer",
     ]
 
 
 def head(events: Iterable[Event]) -> str:
-    """The first line of the picture that a terminal shows in the end."""
+    """The last line of the picture that a terminal shows in the end."""
     console = Console(file=io.StringIO(), width=300, force_terminal=True, color_system=None)
     progress = Progress(["s1"], 4, console)
     for each in events:
         progress.follow(each)
     with console.capture() as captured:
         console.print(progress._picture())
-    return captured.get().splitlines()[0]
+    return captured.get().splitlines()[-1]
 
 
 def test_the_number_of_open_answers_is_shown() -> None:
@@ -153,8 +152,8 @@ def test_what_the_reserve_guesses_is_beside_what_it_reckons() -> None:
     )
     assert said == [
         "the vehicle's RTL_ALT is not known: the vehicle has no such parameter",
-        "battery 59 %, 45 s to the landing, 53 % to spare",
-        "battery 59 %, 45 s to the landing, 53 % to spare (guessed: RTL_ALT, LAND_SPEED are not known)",
+        "battery 59 %, 0:45 to the landing, 53 % to spare",
+        "battery 59 %, 0:45 to the landing, 53 % to spare (guessed: RTL_ALT, LAND_SPEED are not known)",
     ]
 
 
@@ -166,10 +165,10 @@ def test_the_way_down_counts_down() -> None:
     ]
     assert lines([STARTED, *coming])[1:] == [
         "returning home to land",
-        *(f"returning: on the ground in {left_s} s" for left_s in (30, 20, 10)),
+        *(f"returning: on the ground in 0:{left_s}" for left_s in (30, 20, 10)),
         "landed",
     ]
-    assert head([STARTED, *coming[:12]]).startswith("returning, on the ground in 29 s · ")
+    assert head([STARTED, *coming[:12]]).startswith("returning · on the ground in 0:29 · ")
     assert head([STARTED, *coming, event("position", 141.0, **PLACE, altitude_m=0.0)]).startswith("landed · ")
 
 
@@ -201,3 +200,41 @@ def test_the_version_of_a_vehicle_is_told() -> None:
         "the vehicle is system 3, component 1 (ArduCopter 4.6.2, quadrotor)",
         "the vehicle is system 3, component 1 (ArduCopter of an unknown version, quadrotor)",
     ]
+
+
+def test_what_the_mission_tells_of_a_call_joins_its_line_and_a_silent_call_has_one_alone() -> None:
+    call = {"operation": "detector.process_photo[heavy]", "place": "s1", "decision": "server ready"}
+    told = [
+        {"label": label, "left_px": 1, "top_px": 1, "width_px": 2, "height_px": 2}
+        for label in ("hot-spot", "broken-module", "hot-spot")
+    ]
+    said = lines(
+        [
+            STARTED,
+            event("arrived", 10.0, waypoint=0, **PLACE),
+            event("call", 10.6, delay_s=0.6, **call),
+            event("notified", 10.61, message=told, at=PLACE),
+            event("arrived", 20.0, waypoint=1, **PLACE),
+            event("call", 20.6, delay_s=0.6, **{**call, "place": "local"}),
+            event("position", 21.5, **PLACE, altitude_m=10.0),
+            event("notified", 22.0, message="late", at=PLACE),
+            event("call", 22.0, delay_s=0.6, **call),
+        ]
+    )
+    assert said == [
+        "mission started, policy look-ahead; ● drone  ■ s1",
+        "■ waypoint 0: detector (heavy) on s1, 0.60 s · 2 hot-spots, 1 broken module",
+        "● waypoint 1: detector (heavy) on the drone, 0.60 s",
+        "told the user: late",
+        "■ waypoint 1: detector (heavy) on s1, 0.60 s",
+    ]
+
+
+def test_the_time_left_is_the_forecasts_and_later_by_what_the_drone_is_late() -> None:
+    foreseen = event("foreseen", 0.5, as_asked_s=100.0, reached_s=[10.0, 20.0])
+    armed = event("armed", 1.0)
+    assert head([STARTED, foreseen, armed, *reports(6)]).endswith("about 1:36 left")
+    arrived = event("arrived", 26.0, waypoint=1, **PLACE)  # at 25 s of the mission
+    assert head([STARTED, foreseen, armed, arrived]).endswith("about 1:20 left")
+    down = event("position", 90.0, **PLACE, altitude_m=9.0, down_s=7.0)
+    assert head([STARTED, foreseen, armed, arrived, down]).endswith("about 0:07 left")

@@ -139,7 +139,7 @@ def test_a_comparison_of_drones_that_go_says_how_often_they_turned_back(
     options = ["--seeds", "1", "--workers", "1"]
     assert main(["compare", str(scenario), "--set", "policy.stay_or_go=go", *options]) == 0
     head, rule, row = capsys.readouterr().out.splitlines()[-3:]
-    assert head.startswith("| turned back, hidden minutes | local-only | ")
+    assert head.startswith("| turned back, hidden time | local-only | ")
     assert row.count("|") == rule.count("|") == 2 + len(ENTRANTS)
     rows = upwash.compare([scenario], seeds=1, workers=1, overrides={"policy.stay_or_go": "go"})
     assert all(each.turned_back and each.hidden_s for each in rows)

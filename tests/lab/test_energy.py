@@ -242,7 +242,7 @@ def test_a_comparison_has_means_of_what_was_completed(capsys: pytest.CaptureFixt
     assert without.energy_wh is without.energy_half_width_wh is None
     assert main(["compare", str(BATTERY), "--seeds", "1", "--workers", "1"]) == 0
     minutes, _, times, empty, heading, _, energies = capsys.readouterr().out.splitlines()
-    assert minutes.startswith("| minutes |") and heading.startswith("| Wh |") and not empty
+    assert minutes.startswith("| mission time |") and heading.startswith("| Wh |") and not empty
     assert times.startswith("| thesis-battery | 24.") and "| 0 of 1 completed |" in times
     assert energies.startswith("| thesis-battery | - | 6")
 

@@ -121,7 +121,7 @@ def test_a_comparison_of_several_drones_has_the_worst_and_how_even_it_was(
     assert (ahead.missions, ahead.completed) == (2, 2)
     assert main(["compare", str(fleet), "--seeds", "1", "--workers", "1"]) == 0
     printed = capsys.readouterr().out
-    assert "| worst minutes, fairness (Jain's index) | local-only |" in printed
+    assert "| worst time, fairness (Jain's index) | local-only |" in printed
 
 
 def test_without_several_drones_there_is_neither() -> None:

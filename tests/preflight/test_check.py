@@ -24,6 +24,7 @@ from upwash.preflight.check import MissionCheck, check, missions_to_fly, read_pl
 from upwash.preflight.placement import STEPS, Places, Trials, best_places, candidates, place
 from upwash.preflight.prediction import ALONE, AS_CONFIGURED, LOCAL_ONLY, drawn_worlds, without
 from upwash.preflight.worth import Worth, manners
+from upwash.support.text import lasting
 
 SCENARIO = """
 [mission]
@@ -238,7 +239,7 @@ def test_a_person_reads_how_far_home_is_where_a_reserve_counts_it(
     assert main(["check", str(file), "--workers", "1"]) == 0
     printed = capsys.readouterr().out
     assert (
-        "from waypoint 5, 330 m from home, it takes longest to the ground at home: 81 s, 8 % of the"
+        "from waypoint 5, 330 m from home, it takes longest to the ground at home: 1:21, 8 % of the"
         in printed
     )
     assert "battery left" in printed
@@ -281,10 +282,17 @@ DEMANDING = "[event]\nevery = 1\n"
 @pytest.mark.parametrize(
     ("document", "said"),
     [
-        (SCENARIO + DEMANDING, "(as configured) with it, if 100 % of the answers demand an act"),
-        (SCENARIO, "not worth carrying to the field: 1 server, saving 0 s; flown well, the drone takes "),
-        (SCENARIO + SECOND + DEMANDING, "not worth carrying beside the others: s2 (saves 0 s)"),
-        (ON_A_GRID, "(on the move: mission.photos.every_m = 30) with it, if no answer"),
+        (
+            SCENARIO + DEMANDING,
+            "1 server is worth carrying to the field if the drone flies in its quickest manner and 100 % of the "
+            "answers demand an act: ",
+        ),
+        (
+            SCENARIO,
+            "1 server is not worth carrying to the field if the drone flies in its quickest manner and no ",
+        ),
+        (SCENARIO + SECOND + DEMANDING, "; s2 (saves 0.0 s beside the others) can stay at home then"),
+        (ON_A_GRID, "(on the move: mission.photos.every_m = 30) with it and "),
         (ON_A_GRID + "[camera]\nphoto_s = 20.0\n", '(policy.stay_or_go = "learn") with it'),
         (SCENARIO + "[policy]\nname = 'local-only'\n", ""),
         (SCENARIO.replace("[mission]", "[mission]\nfinish_by_s = 900.0\nlighter = { heavy = 'light' }"), ""),
@@ -349,7 +357,7 @@ def test_without_a_chance_of_acts_a_check_tells_the_mission_with_and_without_the
     assert with_s == {case: times_s[case] for case in (LOCAL_ONLY, AS_CONFIGURED)}
     main(["check", str(file), "--workers", "1"])
     said = " ".join(capsys.readouterr().out.split())
-    assert f"no [event]: {without_s[AS_CONFIGURED] / 60:.2f} min (" in said
+    assert f"no [event]: {lasting(without_s[AS_CONFIGURED])} (" in said
     assert "without servers) if three of four answers demand an act" in said
 
 
@@ -446,7 +454,7 @@ def survey(drone: Drone) -> None:
         (
             "20.0",
             "look-ahead",
-            "1 call of segmenter.segment will not be answered, at waypoint 4: no server answered within 20 s",
+            "1 call of segmenter will not be answered, at waypoint 4: no server answered within 20 s",
         ),
         ("0.5", "look-ahead", "within_s = 0.5 is less than the 0.7 s of the fastest server"),
         ("None", "local-only", "only servers run it, and local-only uses none"),
@@ -512,3 +520,18 @@ def test_rows_without_acts_are_judged_as_configured_alone(file: Path) -> None:
     file.write_text(rows + "\n[event]\nprobability = 0.1\n")
     plan = read_plan(file)
     assert len(list(manners(plan.document, plan.config, file))) == 2
+
+
+def test_the_table_says_what_each_server_saves_and_the_first_lines_what_all_save(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file.write_text(SCENARIO + SECOND + DEMANDING)
+    _, times_s = checked(file)
+    main(["check", str(file), "--workers", "1"])
+    printed = capsys.readouterr().out
+    served_s, alone_s = times_s[AS_CONFIGURED], times_s[LOCAL_ONLY]
+    assert f"{lasting(served_s)} as configured, {100 * (1 - served_s / alone_s):.0f} % less than" in printed
+    saved = {
+        line.split()[0]: line.split("  ")[-2].strip() for line in printed.splitlines() if " of 6 " in line
+    }
+    assert saved == {"s1": lasting(times_s["without s1"] - served_s), "s2": "0.0 s"}

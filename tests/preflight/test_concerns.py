@@ -154,8 +154,8 @@ def test_the_battery_has_to_last_above_the_reserve_margin_included() -> None:
     assert usable_s(config) == 80.0
     (warning,) = warnings(config, [covered()], [believed()], GOOD)
     assert warning.kind == "battery"
-    assert "80 s above the reserve of 20 %" in warning.text
-    assert "local-only (100 s), without s1 (100 s)" in warning.text
+    assert "1:20 above the reserve of 20 %" in warning.text
+    assert "local-only (1:40), without s1 (1:40)" in warning.text
     lasting = predicted(local=79.0, configured=40.0)
     assert kinds(config, predictions=lasting) == []
     assert kinds(config, predictions=[msgspec.structs.replace(lasting[0], margin_s=2.0)]) == ["battery"]
@@ -171,7 +171,7 @@ def test_of_two_reserves_the_higher_counts_before_the_flight_too() -> None:
     percent = configured(vehicle={"endurance_s": 200.0}, mission={"reserve_percent": 40.0, "reserve_s": 60.0})
     assert usable_s(percent) == pytest.approx(120.0)
     (warning,) = warnings(seconds, [covered()], [believed()], predicted(local=150.0, configured=50.0))
-    assert "140 s above the reserve of 60 s" in warning.text
+    assert "2:20 above the reserve of 60 s" in warning.text
 
 
 def far_away(away_m: float, **mission: Any) -> DroneConfig:
@@ -185,7 +185,7 @@ def test_a_waypoint_from_which_the_drone_could_not_return_is_named() -> None:
     assert kinds(far_away(400.0)) == []
     (warning,) = warnings(far_away(700.0), [covered()], [believed()], GOOD)
     assert warning.kind == "too-far"
-    assert "waypoint 1 is 700 m from home: 183 s there and 118 s back" in warning.text
+    assert "waypoint 1 is 700 m from home: 3:03 there and 1:58 back" in warning.text
     assert kinds(far_away(690.0, reserve_s=0.0)) == []
     assert kinds(far_away(700.0, ground_speed_m_s=8.0)) == []
 

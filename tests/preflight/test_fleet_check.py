@@ -88,7 +88,7 @@ def test_what_will_hurt_is_said_of_the_drones_that_it_hurts(
     assert main(["check", str(fleet), "--json"]) == 1
     said = [load["text"] for load in json.loads(capsys.readouterr().out)["warnings"]]
     assert any(text.startswith("d1: s2 covers no waypoint") for text in said)
-    assert any(text.startswith("d1: the battery lasts 175 s, which is not enough") for text in said)
+    assert any(text.startswith("d1: the battery lasts 2:55, which is not enough") for text in said)
     assert not any("d3" in text for text in said)
 
 

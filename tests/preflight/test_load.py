@@ -64,17 +64,15 @@ def test_rows_that_outrun_the_drone_are_told_with_what_servers_save(
     alone_s, served_s = (found["worth"][side]["mission_time_s"] for side in ("alone", "served"))
     saved = 100 * (1 - served_s / alone_s)
     assert saved > 50
-    assert (
-        f"the drone needs 8 s for a photo and takes one each 1.5 s, 5.3 times what it can compute: servers save "
-        f"{saved:.0f} % of the mission" in told
-    )
+    assert f" saved, {saved:.0f} %, " in told
+    assert "the drone needs 8 s for a photo and takes one each 1.5 s, 5.3 times what it can compute" in told
 
 
 def test_a_drone_that_keeps_up_needs_no_server(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     quick = ROWS.replace("8.0", "0.6")
     found, told = checked(file, capsys, quick + SERVER)
     assert found["load"]["ratio"] == pytest.approx(0.4)
-    assert "takes one each 1.5 s, 0.4 of what it can compute: it keeps up alone, and servers save 0 %" in told
+    assert "takes one each 1.5 s, 0.4 of what it can compute: it keeps up alone" in told
     assert "it keeps up alone, and a server saves little in flight" in checked(file, capsys, quick)[1]
 
 
@@ -100,14 +98,14 @@ def test_a_drone_that_waits_at_each_stop_pays_for_each_answer(
     )
     found, told = checked(file, capsys, STOPS + SERVER + EACH_DEMANDS)
     assert found["load"]["waits"], "each answer is acted on at once"
-    assert "at each stop, 22 s of flight apart: servers save" in told
+    assert "at each stop, 22 s of flight apart" in told
 
 
 def test_a_drone_that_flies_on_hides_its_computation(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found, told = checked(file, capsys, STOPS + SERVER)
     assert found["worth"]["served"]["case"] == 'policy.stay_or_go = "learn"'
     assert not found["load"]["waits"]
-    assert "takes one each 22 s, 0.37 of what it can compute: it keeps up alone, and servers save" in told
+    assert "takes one each 22 s, 0.37 of what it can compute: it keeps up alone" in told
 
 
 def test_the_load_is_that_of_the_speed_which_servers_allow(

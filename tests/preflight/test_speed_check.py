@@ -82,7 +82,7 @@ def test_four_limits_with_their_figures(checked: Checked) -> None:
     assert (answers["stops"], answers["at_most"]) == (0, 100)
     assert [(row["row"], row["photos"]) for row in answers["rows"]] == [(0, 9), (1, 9)]
     for sentence in (
-        "ground speed: 4 m/s, 1.9 min by forecast",
+        "ground speed: 4 m/s, 1:5",
         "blur: the ground moves by 0.40 pixels of 20 mm during an exposure of 0.002 s; half a pixel allows 5 m/s",
         "overlap along a row: 38 %, a photo shows 16.0 m, and there is one every 10 m",
         "interval: a photo every 2.5 s; the camera takes 0.5 s, which allows 20 m/s",

@@ -25,12 +25,12 @@ from upwash.core.geo import GeoPosition, LocalFrame, Position, ground_distance_m
 from upwash.core.knowledge.servers import State
 from upwash.errors import UsageError
 from upwash.eventlog import schema
-from upwash.eventlog.progress import clock
 from upwash.lab.run import simulate
 from upwash.report.exports import write_csv, write_geojson
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record, read_records
 from upwash.report.sheet import draw_sheet
+from upwash.support.text import clock
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 HOSTILE = "</title><script>alert('1')</script>&\"\x00]]>"

@@ -26,11 +26,11 @@ from tests.waiting import wait_for
 
 from upwash.cli.demonstration import read_demonstration, score_photos
 from upwash.eventlog.log import EventLog
-from upwash.eventlog.progress import clock
 from upwash.eventlog.results import RunResult, read_result
 from upwash.lab.run import simulate
 from upwash.report.record import read_records, reviewed_of
 from upwash.services.solar_park.geometry import Area, Breakage, HotSpot, Park
+from upwash.support.text import clock
 
 pytestmark = [pytest.mark.system, pytest.mark.flight, pytest.mark.long, pytest.mark.timeout(240)]
 

@@ -23,10 +23,10 @@ from upwash.cli.main import main
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
 from upwash.eventlog.narration import STATE_WORDS
-from upwash.eventlog.progress import clock
 from upwash.eventlog.reasons import explained_calls
 from upwash.lab.run import simulate
 from upwash.report.record import Record, read_records
+from upwash.support.text import clock
 
 pytestmark = NEEDED
 

@@ -26,6 +26,7 @@ from upwash.support.confidence import Mean, mean_of
 from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
+from upwash.support.text import lasting
 
 _LOG = ".jsonl"
 Cell = Callable[[ComparedPolicy], str]
@@ -154,11 +155,11 @@ def print_tables(rows: Sequence[ComparedPolicy], console: Console) -> None:
         table = Table(box=None, padding=(0, 1))
         columns = {
             "": lambda row: row.policy,
-            "minutes": _interval,
+            "mission\ntime": _interval,
             "above the\nminimum": _above_bound,
             "completed": _completed if any(row.completed < row.missions for row in own) else None,
             "worst,\nfairness": _fleet_cell if any(row.worst_s is not None for row in own) else None,
-            "turned back,\nmin hidden": _going_cell if any(row.hidden_s is not None for row in own) else None,
+            "turned back,\nhidden": _going_cell if any(row.hidden_s is not None for row in own) else None,
             "Wh": _energy_cell if any(row.energy_wh is not None for row in own) else None,
         }
         if any(row.saved_shares for row in own):
@@ -170,7 +171,7 @@ def print_tables(rows: Sequence[ComparedPolicy], console: Console) -> None:
         for row in own:
             wins = row in winners
             cells = (cell(row) for cell in shown.values())
-            table.add_row("*" if wins else "", *cells, style="bold" if wins else None)
+            table.add_row("*" if wins else "", *cells, style="bold green" if wins else None)
             for part in _by_kind(row):
                 beside = _BESIDE_FIRST.values()
                 table.add_row(
@@ -197,7 +198,7 @@ def _winners(rows: Sequence[ComparedPolicy]) -> list[ComparedPolicy]:
     """The policies with the least time as printed; none where all have it."""
     if (best := _quickest(rows)) is None:
         return []
-    alike = [row for row in rows if row.completed and _minutes(row.mean_s) == _minutes(best.mean_s)]
+    alike = [row for row in rows if row.completed and lasting(row.mean_s) == lasting(best.mean_s)]
     return alike if len(alike) < len(rows) else []
 
 
@@ -211,11 +212,11 @@ def _verdict(rows: Sequence[ComparedPolicy]) -> str:
     verb = "is" if others == 1 else "are"
     alike = f"; {others} more {verb} as quick within the margin of error" if others else ""
     return (
-        f"{best.policy} is quickest: {_minutes(best.mean_s)} min"
+        f"{best.policy} is quickest: {lasting(best.mean_s)}"
         + (
             ""
             if math.isnan(best.bound_s)
-            else f", {_above_bound(best)} above the theoretical minimum of {_minutes(best.bound_s)}"
+            else f", {_above_bound(best)} above the theoretical minimum of {lasting(best.bound_s)}"
         )
         + alike
     )
@@ -224,7 +225,7 @@ def _verdict(rows: Sequence[ComparedPolicy]) -> str:
 def _interval(row: ComparedPolicy) -> str:
     if not row.completed:
         return "-"
-    return _minutes(row.mean_s) + (f" ± {row.half_width_s / 60:.2f}" if row.completed > 1 else "")
+    return lasting(row.mean_s, row.half_width_s if row.completed > 1 else None)
 
 
 def _above_bound(row: ComparedPolicy) -> str:
@@ -240,12 +241,12 @@ def _completed(row: ComparedPolicy) -> str:
 def in_markdown(rows: Sequence[ComparedPolicy]) -> Iterator[str]:
     """Tables with a row for each scenario: minutes, and what is known of fleets, late answers and energy."""
     policies = list(dict.fromkeys(row.policy for row in rows))
-    yield from _heading("minutes", "bound", *policies)
+    yield from _heading("mission time", "bound", *policies)
     for scenario, group in itertools.groupby(rows, key=lambda row: row.scenario):
         own = list(group)
         winners = _winners(own)
         cells = (f"**{_cell(row)}**" if row in winners else _cell(row) for row in own)
-        yield _line(scenario, _minutes(own[0].bound_s), *cells)
+        yield _line(scenario, "-" if math.isnan(own[0].bound_s) else lasting(own[0].bound_s), *cells)
     beside = [row for row in rows if row.saved_shares]
     if beside:
         yield ""
@@ -257,8 +258,8 @@ def in_markdown(rows: Sequence[ComparedPolicy]) -> Iterator[str]:
             for part in _by_kind(row):
                 yield _line(f"{name}, {part.policy}", *_beside_first(part))
     further: tuple[tuple[str, Callable[[ComparedPolicy], float | None], Cell], ...] = (
-        ("worst minutes, fairness (Jain's index)", lambda row: row.worst_s, _fleet_cell),
-        ("turned back, hidden minutes", lambda row: row.hidden_s, _going_cell),
+        ("worst time, fairness (Jain's index)", lambda row: row.worst_s, _fleet_cell),
+        ("turned back, hidden time", lambda row: row.hidden_s, _going_cell),
         ("Wh", lambda row: row.energy_wh, _energy_cell),
     )
     for title, value, cell in further:
@@ -293,11 +294,11 @@ def _cell(row: ComparedPolicy) -> str:
 def _fleet_cell(row: ComparedPolicy) -> str:
     if row.worst_s is None or row.jain is None:
         return "-"
-    return f"{_minutes(row.worst_s)}, {row.jain:.3f}"
+    return f"{lasting(row.worst_s)}, {row.jain:.3f}"
 
 
 def _going_cell(row: ComparedPolicy) -> str:
-    return "-" if row.turned_back is None else f"{row.turned_back:.1f}, {_minutes(row.hidden_s or 0.0)}"
+    return "-" if row.turned_back is None else f"{row.turned_back:.1f}, {lasting(row.hidden_s or 0.0)}"
 
 
 def _energy_cell(row: ComparedPolicy) -> str:
@@ -328,7 +329,3 @@ _BESIDE_FIRST: dict[tuple[str, str], Cell] = {
         _percent(max(0.0, *(-share for share in row.saved_shares))) if row.saved_shares else "-"
     ),
 }
-
-
-def _minutes(seconds: float) -> str:
-    return "-" if math.isnan(seconds) else f"{seconds / 60:.2f}"

@@ -34,7 +34,7 @@ from upwash.real.trust.authority import make_keys
 from upwash.support.background import beside
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
-from upwash.support.text import counted
+from upwash.support.text import counted, lasting
 from upwash.view.tail import Tail
 
 _DEPARTURE_S = 3.0  # after the drone before
@@ -71,7 +71,9 @@ def fly_fleet(folder: Path, config: DroneConfig, drones: int, *, runtime: str, l
             soft_wrap=True,
         )
         processes.enter_context(shown_live(list(logs.values()), live))
-        progress = processes.enter_context(FleetProgress(list(logs), len(waypoints(config.mission)), console))
+        progress = processes.enter_context(
+            FleetProgress(list(logs), names, len(waypoints(config.mission)), console)
+        )
         exit_codes = asyncio.run(_fly(files, logs, progress))
     results = {name: DemonstratedFlight.of(log, exit_codes[name]) for name, log in logs.items()}
     print_results(results, names, console)
@@ -242,8 +244,8 @@ def _cells(result: RunResult | None, servers: Sequence[str]) -> list[str]:
     saved_s, totals = result.saved_s(), result.totals
     numbers = (totals.local, *(totals.remote.get(server, 0) for server in servers))
     return [
-        f"{result.mission_time_s:.1f} s",
-        "" if saved_s is None else f"{saved_s:z.1f} s",
+        lasting(result.mission_time_s),
+        "" if saved_s is None else lasting(saved_s),
         *map(str, (*numbers, totals.waits, totals.waits_failed)),
     ]
 
@@ -256,9 +258,11 @@ def summary(results: Sequence[RunResult | None]) -> str:
     times_s = [result.mission_time_s for result in completed]
     all_saved_s = [saved_s for result in completed if (saved_s := result.saved_s()) is not None]
     saved = (
-        f"; saved: mean {mean(all_saved_s):z.1f} s, least {min(all_saved_s):z.1f} s" if all_saved_s else ""
+        f"; saved: mean {lasting(mean(all_saved_s))}, least {lasting(min(all_saved_s))}"
+        if all_saved_s
+        else ""
     )
     return (
         f"{len(completed)} of {counted(len(results), 'flight')} completed; "
-        f"mission time: mean {mean(times_s):.1f} s, worst {max(times_s):.1f} s{saved}"
+        f"mission time: mean {lasting(mean(times_s))}, worst {lasting(max(times_s))}{saved}"
     )

@@ -261,7 +261,7 @@ def _show_result(
 
             paced = any(service.local_pace_s for service in config.services)
             servers = bool(config.servers)
-            print_result(read_result(events), _console(), paced=paced, servers=servers, calls=calls)
+            print_result(read_result(events), events, _console(), paced=paced, servers=servers, calls=calls)
             _console().print(f"event log: {log}", soft_wrap=True)
     except UsageError as error:
         problems.append(f"its result cannot be shown: {error}")

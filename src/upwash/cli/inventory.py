@@ -13,6 +13,7 @@ from rich.text import Text
 
 from upwash.config.inventory import ListedServer
 from upwash.core.admission.clients import ServerStatus
+from upwash.core.admission.slots import MOST_DRONES
 from upwash.errors import LinkError
 from upwash.launch.in_force import CONFIGURATION, KEYS, REVOCATIONS
 from upwash.rpc.protocol import DaemonStatus, StatusReply
@@ -104,6 +105,11 @@ def _wrong(name: str, reply: StatusReply, now: datetime) -> Iterator[str]:
             yield f"the certificate of {certificate.holder} ends in {days} d"
 
 
+def is_limited(server: ServerStatus) -> bool:
+    """Whether the number of slots is a limit; a measured one may be as large as the crowd that is remembered."""
+    return server.slots_why in ("", "configured") or server.slots < MOST_DRONES
+
+
 def _server(name: str, reply: StatusReply) -> ServerStatus | None:
     return next((server for server in reply.servers if server.name == name), None)
 
@@ -124,7 +130,14 @@ def _cells(view: ServerView) -> Iterator[Text | str]:
     server = None if reply is None else _server(view.server, reply)
     daemon = None if reply is None else reply.daemon
     yield "" if daemon is None else Text(daemon.version)
-    yield "" if server is None else f"{len(server.leases)} of {server.slots}"
+    used = 0 if server is None else len(server.leases)
+    yield (
+        ""
+        if server is None
+        else f"{used} of {server.slots}"
+        if is_limited(server)
+        else f"{used}, not limited"
+    )
     yield "" if server is None else str(sum(each.waits_s is not None for each in server.accounts))
     for part in (CONFIGURATION, REVOCATIONS):
         known = None if daemon is None else daemon.parts.get(part)

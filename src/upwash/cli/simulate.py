@@ -42,7 +42,7 @@ from upwash.support.sentences import say
 from upwash.support.software import software
 from upwash.support.spared import require_spared
 from upwash.support.tables import show_table
-from upwash.support.text import printable
+from upwash.support.text import lasting, printable
 
 _PRINTED = ("scenario", "policy", "seed", "mission_time_s", "completed", "calls", "totals", "bound")
 _PRINTED_OF_FLEET = ("scenario", "seed", "mean_s", "worst_s", "jain", "saved_s", "bound")
@@ -174,7 +174,9 @@ def _print_simulation(simulation: Simulation, *, calls: bool) -> None:
     console = Console(markup=False)
     servers = any(isinstance(event, schema.Planned) and event.has_servers for event in simulation.events)
     beside = "" if simulation.bound is None else _beside(simulation, simulation.bound)
-    print_result(simulation, console, paced=False, servers=servers, beside=beside, calls=calls)
+    print_result(
+        simulation, simulation.events, console, paced=False, servers=servers, beside=beside, calls=calls
+    )
 
 
 def _as_object(simulation: Simulation) -> dict[str, Any]:
@@ -208,9 +210,9 @@ def _print_fleet(fleet: FleetSimulation) -> None:
         table.add_column(title, justify="right", no_wrap=True)
     for name, drone in fleet.drones.items():
         time = (
-            f"{drone.mission_time_s:.1f} s" if drone.completed else "vanished" if drone.vanished else "failed"
+            lasting(drone.mission_time_s) if drone.completed else "vanished" if drone.vanished else "failed"
         )
-        saved = f"{fleet.saved_s[name]:.1f} s" if name in fleet.saved_s else "-"
+        saved = lasting(fleet.saved_s[name]) if name in fleet.saved_s else "-"
         remote = f"{sum(drone.totals.remote.values())} of {drone.totals.calls}"
         table.add_row(*map(Text, (name, drone.policy, time, saved, remote)))
     show_table(table, console)
@@ -226,7 +228,7 @@ def _together(fleet: FleetSimulation) -> Iterator[str]:
     if fleet.mean_s is None or fleet.worst_s is None:
         yield "no mission was completed"
         return
-    yield f"mission time: mean {fleet.mean_s:.1f} s, worst {fleet.worst_s:.1f} s"
+    yield f"mission time: mean {lasting(fleet.mean_s)}, worst {lasting(fleet.worst_s)}"
     if fleet.jain is not None:
         yield f"fairness {fleet.jain:.3f} (Jain's index of what each saved: 1 where all saved the same)"
     left_out = [name for name, drone in fleet.drones.items() if not drone.completed]
@@ -245,4 +247,4 @@ def _together(fleet: FleetSimulation) -> Iterator[str]:
 def _beyond(least_s: float, time_s: float) -> str:
     """The least time, and by how much the time is longer."""
     beyond = round(100 * (time_s / least_s - 1), 1) + 0.0  # no -0.0
-    return f"{least_s:.1f} s ({beyond:+.1f} %)"
+    return f"{lasting(least_s)} ({beyond:+.1f} %)"

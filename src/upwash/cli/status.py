@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from upwash.cli.arguments import OneOf, announce, option, reads
-from upwash.cli.inventory import DIGITS, SOON_DAYS, print_views, views
+from upwash.cli.inventory import DIGITS, SOON_DAYS, is_limited, print_views, views
 from upwash.config.inventory import ListedServer, read_inventory
 from upwash.core.admission.clients import (
     AccountStatus,
@@ -163,7 +163,11 @@ def _print_reload(reload: ReloadStatus, refused: Mapping[str, str], console: Con
 def _print_server(server: ServerStatus, console: Console) -> None:
     waiting = sum(account.waits_s is not None for account in server.accounts)
     queue = f", {waiting} {'drone waits' if waiting == 1 else 'drones wait'}" if waiting else ""
-    say(f"\n{server.name}: {len(server.leases)} of {counted(server.slots, 'slot')} in use{queue}", console)
+    used = len(server.leases)
+    slots = f"{used} of {counted(server.slots, 'slot')} in use"
+    if not is_limited(server):
+        slots = f"{counted(used, 'slot')} in use, not limited"
+    say(f"\n{server.name}: {slots}{queue}", console)
     if server.slots_why:  # of a daemon that knows turns
         say(Text(f"  {_slots_and_turns(server)}"), console)
     for line in (*_holders(server), *_waiting(server)):
@@ -248,7 +252,8 @@ def _instances(server: ServerStatus) -> Table:
     table = _table("instance", "state", "at", "unused for")
     for instance in server.instances:
         unused = duration(instance.unused_s) if instance.state == "running" else ""
-        state = Text(instance.state, style=_STATE_STYLES.get(instance.state, "dim"))
+        words = "starts on demand" if instance.state == "absent" else instance.state
+        state = Text(words, style=_STATE_STYLES.get(instance.state, "dim"))
         table.add_row(Text(instance.service), state, Text(instance.endpoint), unused)
     return table
 

@@ -16,7 +16,7 @@ from upwash.report.reviews import logs_among
 from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
-from upwash.support.text import counted, printable
+from upwash.support.text import counted, lasting, printable
 
 ARGUMENTS = {
     "logs LOG": reads("event logs of flights, flown or simulated", nargs="+"),
@@ -54,19 +54,19 @@ def run(options: argparse.Namespace) -> None:
 
 def _show(log: str, found: WhatIf, console: Console) -> None:
     ran = f"{counted(found.calls, 'call')}, {found.remote_calls} of them on servers"
-    say(f"{printable(log)}: flown in {found.flown_s / 60:.2f} min under {found.policy}; {ran}", console)
+    say(f"{printable(log)}: flown in {lasting(found.flown_s)} under {found.policy}; {ran}", console)
     for note in found.notes:
         say(f"note: {printable(note)}", console)
     table = Table(box=None, padding=(0, 1))
-    for title in ("predicted", "minutes", "95 % interval", "against the flight"):
+    for title in ("predicted", "mission time", "95 % interval", "against the flight"):
         table.add_column(title, justify="left" if title == "predicted" else "right", no_wrap=True)
     for one in found.predictions:
         flown = " (flown)" if one.policy == found.policy else ""
         share = one.time_s / found.flown_s - 1
         table.add_row(
             f"{one.policy}{flown}",
-            f"{one.time_s / 60:.2f}",
-            f"{one.low_s / 60:.2f} to {one.high_s / 60:.2f}",
+            lasting(one.time_s),
+            f"{lasting(one.low_s)} to {lasting(one.high_s)}",
             f"{100 * share:+.1f} %",
         )
     if found.predictions:
@@ -81,7 +81,7 @@ def _show(log: str, found: WhatIf, console: Console) -> None:
 
 def _show_tuning(found: Tuning, flights: int, console: Console) -> None:
     say(
-        f"{counted(flights, 'flight')} of {found.flown_s / 60:.2f} min together, under {found.policy}",
+        f"{counted(flights, 'flight')} of {lasting(found.flown_s)} together, under {found.policy}",
         console,
     )
     table = Table(box=None, padding=(0, 1))

@@ -9,9 +9,8 @@ from dataclasses import dataclass, replace
 from upwash.core.geo import Circle, Measured, Position, Reach, ground_distance_m
 from upwash.core.knowledge.servers import CHECKING, State
 from upwash.eventlog import schema
-from upwash.eventlog.progress import clock
 from upwash.eventlog.schema import Event
-from upwash.support.text import counted
+from upwash.support.text import clock, counted
 
 _REMEMBERED_S = 60.0  # how long the drone believes a server without a free slot
 _NO_ANSWER = "no answer"
@@ -238,6 +237,11 @@ def _left(before: Course, event: Event, doing: str) -> Course:
     return Course(doing, words, before.began_s, alone_from_s=alone_from_s)
 
 
+def ran_on(server: str | None) -> str:
+    """The place of a call as text: "on s1", "on the drone"."""
+    return "on the drone" if server is None else f"on {server}"
+
+
 # --- a call that is over ----------------------------------------------------------------------------------------
 
 
@@ -253,7 +257,7 @@ def ran(outcome: schema.Call, decisions: Sequence[Considered], events: Sequence[
         return f"Ran on {outcome.server}{_server_cause(outcome, decisions)} {took}"
     if not decisions:
         return f"Ran on the drone {took}" + (f": {outcome.decision}" if outcome.decision else "")
-    return f"Ran on the drone {took}{_because(_cause(outcome, decisions, events))}"
+    return f"Ran on the drone {took}{_because(cause_of(outcome, decisions, events))}"
 
 
 def _because(cause: str) -> str:
@@ -282,8 +286,10 @@ def _readiness(considered: Considered) -> str:
     )
 
 
-def _cause(outcome: schema.Call, decisions: Sequence[Considered], events: Sequence[Event]) -> str:
-    """Why it ran on the drone."""
+def cause_of(outcome: schema.Call, decisions: Sequence[Considered], events: Sequence[Event]) -> str:
+    """Why a call that is over ran on the drone; empty if there is nothing to say, and for a call at a server."""
+    if outcome.server is not None or not decisions:
+        return ""
     last = decisions[-1]
     asked = next(
         (each.decided.server for each in reversed(decisions) if each.decided.decision == "remote"), None
@@ -349,7 +355,7 @@ def _in_the_past(why: str) -> str:
 
 def _checked(considered: Considered) -> str:
     elapsed_s = considered.decided.check_elapsed_s or 0.0
-    return f"checked since {clock(considered.at_s - elapsed_s)} and not ready yet"
+    return f"joining since {clock(considered.at_s - elapsed_s)} and not ready yet"
 
 
 def _against(considered: Considered) -> str:
@@ -371,8 +377,7 @@ def _none_cause(considered: Considered) -> str:
     if considered.policy == "local-only":
         return "the policy local-only uses no server"
     if servers[0].beyond_m > 0:
-        beyond = f"the range of {servers[0].stay.server} ended {servers[0].beyond_m:.0f} m away"
-        return f"no server was in range: {beyond}"
+        return f"no server was in range: {servers[0].stay.server} ends {servers[0].beyond_m:.0f} m away"
     return " and ".join(_unused(server, considered) for server in servers)
 
 

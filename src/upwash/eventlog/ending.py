@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 
 from upwash.eventlog.narration import at_places, spans
 from upwash.eventlog.notices import TEXTS, Level, Notice
-from upwash.eventlog.progress import clock
 from upwash.eventlog.results import RunResult, Totals
-from upwash.support.text import counted, printable
+from upwash.support.text import clock, counted, printable
 
 _LONGEST_LIST = 200  # characters
 _MOST_KINDS = 200  # of notices about one thing, however long the log is

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from datetime import datetime
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 from rich.console import Console, Group
 from rich.table import Table
@@ -11,9 +11,9 @@ from rich.text import Text
 
 from upwash.core.knowledge.servers import SELECTED
 from upwash.eventlog import schema
-from upwash.eventlog.narration import STATE_WORDS, Narrator, tone_of
+from upwash.eventlog.narration import STATE_WORDS, tone_of
 from upwash.eventlog.schema import Event
-from upwash.eventlog.terminal import TONE_STYLES, LiveDisplay
+from upwash.eventlog.terminal import TONE_STYLES, Course, LiveDisplay, marks_of
 from upwash.support.tables import fit
 from upwash.support.text import printable
 
@@ -21,26 +21,28 @@ from upwash.support.text import printable
 class FleetProgress(LiveDisplay):
     """Follows the events of several flights: a live display on a terminal, a line per event elsewhere.
 
-    Each line begins with the drone's name, and with the seconds since the first of the logs was opened.
+    Each line begins with the drone's name, and with the time of its own mission.
     """
 
-    def __init__(self, drones: Sequence[str], waypoints: int, console: Console) -> None:
+    def __init__(
+        self, drones: Sequence[str], servers: Iterable[str], waypoints: int, console: Console
+    ) -> None:
         self._waypoints = waypoints
         self._width = max(map(len, drones))
-        self._drones = {drone: _Drone() for drone in drones}
-        self._opened: datetime | None = None
+        marks = marks_of(servers)
+        self._drones = {drone: _Drone(marks) for drone in drones}
         super().__init__(console)  # which looks at the picture
+
+    def __exit__(self, *ended: Any) -> None:
+        for name, drone in self._drones.items():
+            for line in drone.rest():
+                self._show_of(name, line)
+        super().__exit__(*ended)
 
     def follow(self, drone: str, event: Event) -> None:
         """Takes in one event of that drone's flight."""
-        followed = self._drones[drone]
-        if isinstance(event, schema.LogOpened):
-            self._opened = self._opened or event.time
-            followed.behind_s = (event.time - self._opened).total_seconds()
-        said = followed.take(event)
-        if said is not None:
-            at_s = followed.behind_s + event.t
-            self._show_of(drone, Text(f"{at_s:7.1f} s  ") + said)
+        for line in self._drones[drone].take(event):
+            self._show_of(drone, line)
 
     def say(self, drone: str, line: str) -> None:
         """Shows what that drone's program printed."""
@@ -61,19 +63,18 @@ class FleetProgress(LiveDisplay):
 class _Drone:
     """One drone, as far as its log has told."""
 
-    def __init__(self) -> None:
-        self.narrator = Narrator()
-        self.behind_s = 0.0  # by how much its log was opened after the first one
+    def __init__(self, marks: Mapping[str, str]) -> None:
+        self._course = Course(marks)
+        self.narrator, self.rest = self._course.narrator, self._course.rest
         self.calls = 0
         self._states: dict[str, str] = {}
 
-    def take(self, event: Event) -> Text | None:
-        """What the event says."""
+    def take(self, event: Event) -> Iterator[Text]:
+        """The lines that are complete with the event."""
         if isinstance(event, schema.ServerStep):
             self._states[event.server] = event.after
         self.calls += isinstance(event, schema.Call)
-        said = self.narrator.tell(event)
-        return None if said is None else Text(printable(said.text), style=TONE_STYLES.get(said.tone, ""))
+        return self._course.take(event)
 
     @property
     def doing(self) -> Text:

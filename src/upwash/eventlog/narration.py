@@ -9,14 +9,17 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from upwash.core.knowledge.servers import CHECKING, SELECTED, State
+from upwash.core.operation import title_of
 from upwash.core.vehicle.control import Owner
 from upwash.core.vehicle.way_home import in_words
 from upwash.eventlog import schema
+from upwash.eventlog.causes import ran_on
 from upwash.eventlog.notices import SAFE_ENDS, WARNING, Level, left_of, notice_of, who_has_it
-from upwash.eventlog.objects import found_objects
-from upwash.eventlog.progress import CallPlaces, MissionTime
+from upwash.eventlog.objects import count_of_kind, found_objects, noun_of
+from upwash.eventlog.progress import MissionEnd
+from upwash.eventlog.reasons import ExplainedCall, Reasons
 from upwash.eventlog.schema import SEVERITIES, Event
-from upwash.support.text import counted, printable
+from upwash.support.text import clock, counted, printable
 
 _SHORTEST_S = 0.05  # the shortest time in line that a sentence has
 # Most events of a long log are of these kinds: a set lookup is faster than a match statement.
@@ -32,11 +35,6 @@ def spans(indices: Sequence[int]) -> str:
         members = [index for _, index in stretch]
         stretches.append(str(members[0]) if len(members) == 1 else f"{members[0]}-{members[-1]}")
     return ", ".join(stretches)
-
-
-def ran_on(server: str | None) -> str:
-    """The place of a call as text: "on s1", "on the drone"."""
-    return "on the drone" if server is None else f"on {server}"
 
 
 class Tone(StrEnum):
@@ -96,9 +94,10 @@ class Narrator:
         self.stands = False  # at a place, for a photo or a call
         self.where = ""
         self._reached: set[int] = set()
-        self._whereabouts = CallPlaces()
+        self._reasons = Reasons()
         self._knows_servers = True  # until the plan says otherwise
-        self.began = MissionTime()
+        self.began = self._reasons.began
+        self._end = MissionEnd()
         self.started = False  # whether the mission has begun
         self.waits_since_s: float | None = None  # the begin of the wait for arming; None without a wait
         self.waits_for = ""  # the vehicle's reasons
@@ -113,20 +112,24 @@ class Narrator:
     @property
     def open_answers(self) -> int:
         """The number of answers that the mission does not have yet."""
-        return self._whereabouts.open_calls
+        return self._reasons.whereabouts.open_calls
+
+    def left_s(self, t: float) -> float | None:
+        """The time to the mission's end at that second of the log, by the forecast and the last arrival."""
+        return None if self.began.at_s is None else self._end.left_s(t - self.began.at_s)
 
     def tell(self, event: Event) -> Sentence | None:
         """The sentence of an event; None for an event without one."""
-        self._whereabouts.take(event)
-        self.began.take(event)
+        explained = self._reasons.take(event)
+        self._end.take(event, self.began.at_s or 0.0)
         if type(event) in _WITHOUT_SENTENCE:
             return None
         before = self.doing
         self._follow(event)
         if self.doing != before:
             self.stands = _stands_after(event)
-        if isinstance(event, schema.Call):
-            return self._call(event)
+        if isinstance(explained, ExplainedCall):
+            return self._call(explained)
         if isinstance(event, schema.LeftToPilot) and self.control:  # which was said
             return Sentence(event.why.rpartition("; ")[2], Tone.ALARM)
         if isinstance(event, schema.MissionStarted):
@@ -182,17 +185,15 @@ class Narrator:
                 self.doing = SAFE_ENDS[action]
         self.doing = _DOING.get(type(event), self.doing)
 
-    def _call(self, call: schema.Call) -> Sentence:
+    def _call(self, explained: ExplainedCall) -> Sentence:
+        call = explained.outcome
         waited = f" after waiting {call.waited_s:.1f} s" if call.wait else ""
         if call.queued_s and call.queued_s >= _SHORTEST_S:
             waited += f", {call.queued_s:.1f} s of that in line"
-        why = f" ({call.decision})" if self._knows_servers else ""
-        asked_at = self._whereabouts.of_call
-        where = self.doing if asked_at == self._whereabouts.here else f"{self.doing}, for {named(asked_at)}"
-        if call.waypoint is not None:  # one of several that may be open
-            where = named(call.waypoint)
+        why = f", as {explained.cause}" if explained.cause and self._knows_servers else ""
+        where = self.doing if explained.waypoint is None else named(explained.waypoint)
         return Sentence(
-            f"{where}: {call.operation} {ran_on(call.server)}, {call.delay_s:.2f} s{waited}{why}",
+            f"{where}: {title_of(call.operation)} {ran_on(call.server)}, {call.delay_s:.2f} s{waited}{why}",
             Tone.PLAIN if call.server is None else Tone.REMOTE,
         )
 
@@ -255,7 +256,7 @@ def _of_act(event: schema.Demanded | schema.PutOff | schema.TurnedBack | schema.
         case schema.Demanded(failed=failed) if failed:
             return Sentence(f"the call at {waypoint} failed: {failed}", Tone.TROUBLE)
         case schema.Demanded(object=schema.FoundRecord(number=number, label=label)):
-            found = f"object {number} ({printable(label)})"
+            found = f"object {number} ({noun_of(label)})"
             return Sentence(f"{found} is on the photo of {waypoint}: the drone will go there", Tone.FOUND)
         case schema.Demanded():
             return Sentence(f"the answer at {waypoint} asks for an act", Tone.FOUND)
@@ -307,7 +308,7 @@ def _step(server: str, before: State, after: State) -> str:
 def _waiting_sentence(event: Event) -> Sentence | None:
     match event:
         case schema.Unanswered(waypoint=waypoint, operation=operation, why=why):
-            return Sentence(f"{named(waypoint)}: no answer of {operation}: {why}", Tone.TROUBLE)
+            return Sentence(f"{named(waypoint)}: no answer of {title_of(operation)}: {why}", Tone.TROUBLE)
         case schema.SoughtAnswers(waiting=waiting, extra_s=extra_s):
             beside = f", {extra_s:.0f} s beside its way" if extra_s >= 1 else ""
             return Sentence(f"stopping for {counted(waiting, 'call')} that a server here can answer{beside}")
@@ -350,7 +351,7 @@ def _vehicle_sentence(event: Event) -> Sentence | None:
             return Sentence(landed(at, from_home_m))
         case schema.Energy(left_percent=left, home_s=home_s, margin_percent=spare, guessed=guessed):
             which = "" if event.battery is None else f" {event.battery}"
-            said = f"battery{which} {left:.0f} %, {home_s:.0f} s to the landing, {spare:.0f} % to spare"
+            said = f"battery{which} {left:.0f} %, {clock(home_s)} to the landing, {spare:.0f} % to spare"
             return Sentence(f"{said} ({in_words(guessed)})" if guessed else said, Tone.ASIDE)
     return None
 
@@ -365,13 +366,13 @@ def landed(at: str, from_home_m: float | None) -> str:
 
 
 def _foreseen(event: schema.Foreseen) -> Sentence:
-    expected = f"expected to be over after {event.as_asked_s:.0f} s"
+    expected = f"expected to be over at {clock(event.as_asked_s)}"
     if event.finish_by_s is None or event.lightest_s is None:
         return Sentence(expected, Tone.ASIDE)
-    expected += f", and with every call lighter after {event.lightest_s:.0f} s"
+    expected += f", and with every call lighter at {clock(event.lightest_s)}"
     if not event.fits:
         return Sentence(f"{expected}: too late for finish_by_s = {event.finish_by_s:g}", Tone.ALARM)
-    return Sentence(f"{expected}; to be over by {event.finish_by_s:g} s", Tone.ASIDE)
+    return Sentence(f"{expected}; to be over by {clock(event.finish_by_s)}", Tone.ASIDE)
 
 
 def named(waypoint: int | None) -> str:
@@ -383,7 +384,7 @@ def in_one_line(message: object) -> str:
     """A message to the user: objects by their number and labels, fields by their names, other messages unchanged."""
     if (objects := found_objects(message)) is not None:
         labels = Counter(found.label for found in objects)
-        message = ", ".join(counted(count, label or "object") for label, count in labels.items())
+        message = ", ".join(count_of_kind(label, count) for label, count in labels.items())
     elif isinstance(message, dict):
         message = ", ".join(_field(str(name), value) for name, value in message.items())
     return printable(str(message))

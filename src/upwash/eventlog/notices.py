@@ -20,9 +20,8 @@ from upwash.core.knowledge.servers import State
 from upwash.core.knowledge.supplies import Supply
 from upwash.core.vehicle.control import Owner
 from upwash.eventlog import schema
-from upwash.eventlog.progress import clock
 from upwash.eventlog.schema import SEVERITIES, Event
-from upwash.support.text import clocks_apart, counted
+from upwash.support.text import clock, clocks_apart, counted
 
 SAFE_ENDS = {
     "return": "returning to land",

@@ -17,12 +17,19 @@ from typing import TypeGuard
 
 import msgspec
 
+from upwash.support.text import counted, printable
+
 _LABELS = ("label", "name", "kind", "species", "class_name", "category")
 _SCORES = ("score", "confidence", "probability")
 _INSIDE = ("box", "bbox", "rect", "point", "centre", "center")
 _SIZES = (("left", "top", "width", "height"), ("x", "y", "width", "height"), ("x", "y", "w", "h"))
 _CORNERS = (("left", "top", "right", "bottom"), ("x1", "y1", "x2", "y2"), ("xmin", "ymin", "xmax", "ymax"))
 _FARTHEST_PX = 1e6
+_LONGEST_NOUN = 40  # characters
+FAULTS = {  # labels of the bundled detector, in words
+    "hot-spot": "hot-spot",
+    "broken-module": "broken module",
+}
 
 
 class Outline(msgspec.Struct, frozen=True, omit_defaults=True, gc=False):
@@ -45,6 +52,17 @@ class Outline(msgspec.Struct, frozen=True, omit_defaults=True, gc=False):
         """The middle, to the right and down, and the size."""
         middle = self.left_px + self.width_px / 2, self.top_px + self.height_px / 2
         return *middle, self.width_px, self.height_px
+
+
+def noun_of(label: str) -> str:
+    """What people call an object of that label."""
+    return FAULTS.get(label) or printable(label.replace("_", " "), _LONGEST_NOUN) or "object"
+
+
+def count_of_kind(label: str, number: int) -> str:
+    """The number of objects of that label in words: "2 broken modules"."""
+    noun = noun_of(label)
+    return counted(number, noun) if noun[-1:].isalpha() else f"{number} x {noun}"
 
 
 def found_objects(message: object) -> list[Outline] | None:

@@ -6,6 +6,7 @@ from collections import deque
 
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
+from upwash.support.text import clock
 
 # Most events of a long log are positions: a set lookup skips them faster than a match statement.
 _UNDER_WAY = schema.PhotoTaken, schema.CallStarted, schema.Call, schema.SetOff, schema.LogResumed
@@ -39,15 +40,33 @@ class MissionTime:
     def text(self, t: float) -> str:
         """A second of the log as text: of the mission; before its begin the second of the log, in brackets."""
         if self.at_s is None or not self._settled:
-            return f"[{t:.1f} s]"
-        return f"{t - self.at_s:.1f} s"
+            return f"[{clock(t)}]"
+        return clock(t - self.at_s)
 
 
-def clock(seconds: float) -> str:
-    """A second of the mission as the pages show it: "4:05", and from an hour on "1:04:05"."""
-    minutes, second = divmod(max(0, int(seconds)), 60)
-    hours, minute = divmod(minutes, 60)
-    return f"{hours}:{minute:02}:{second:02}" if hours else f"{minute}:{second:02}"
+class MissionEnd:
+    """When the mission will be over: by its forecast, and by how much later each waypoint was reached."""
+
+    def __init__(self) -> None:
+        self._foreseen: schema.Foreseen | None = None
+        self._late_s = 0.0
+
+    def take(self, event: Event, began_s: float) -> None:
+        """Takes in the next event of the mission that began at that second of the log."""
+        match event:
+            case schema.Foreseen():
+                self._foreseen, self._late_s = event, 0.0
+            case schema.Arrived(waypoint=int(number)) if self._foreseen:
+                if number < len(self._foreseen.reached_s):
+                    self._late_s = event.t - began_s - self._foreseen.reached_s[number]
+            case schema.PositionReport(down_s=float(down_s)) if self._foreseen:
+                self._late_s = event.t - began_s + down_s - self._foreseen.as_asked_s
+
+    def left_s(self, now_s: float) -> float | None:
+        """The time that is left at that second of the mission; None without a forecast."""
+        if self._foreseen is None:
+            return None
+        return max(0.0, self._foreseen.as_asked_s + self._late_s - now_s)
 
 
 class CallPlaces:

@@ -5,15 +5,16 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.knowledge.servers import State
+from upwash.core.operation import titles
 from upwash.eventlog import schema
-from upwash.eventlog.causes import SHORTEST_S, Considered, Standings, ran
-from upwash.eventlog.narration import STATE_WORDS, ran_on
-from upwash.eventlog.progress import CallPlaces, MissionTime, clock
+from upwash.eventlog.causes import SHORTEST_S, Considered, Standings, cause_of, ran, ran_on
+from upwash.eventlog.progress import CallPlaces, MissionTime
 from upwash.eventlog.schema import Event
+from upwash.support.text import clock
 
 _SELECTION_CHANGES = {
     schema.Selected: "was selected",
@@ -65,8 +66,18 @@ class ExplainedCall:
     @property
     def sentence(self) -> str:
         """Where it ran, and why."""
+        return ran(self.outcome, self.decisions, self._events)
+
+    @property
+    def cause(self) -> str:
+        """Why it ran on the drone; empty if there is nothing to say, and for a call at a server."""
+        return cause_of(self.outcome, self.decisions, self._events)
+
+    @property
+    def _events(self) -> Sequence[Event]:
+        """What the log told of servers from its first decision on."""
         since = itertools.dropwhile(lambda each: isinstance(each, Event), self.told)
-        return ran(self.outcome, self.decisions, [each for each in since if isinstance(each, Event)])
+        return [each for each in since if isinstance(each, Event)]
 
     @property
     def is_final(self) -> bool:
@@ -103,11 +114,11 @@ class ExplainedAnswer:
 
 
 class Reasons:
-    """Gathers the reasons of each call of a run, event by event."""
+    """Gathers the reasons of each call of a run, event by event; `began` and `whereabouts` follow the mission."""
 
     def __init__(self) -> None:
-        self._began = MissionTime()
-        self._whereabouts = CallPlaces()
+        self.began = MissionTime()
+        self.whereabouts = CallPlaces()
         self._standings = Standings()
         self._told: list[Considered | Event] = []  # since the last call was over
         self._delays_s: list[float] = []
@@ -129,12 +140,12 @@ class Reasons:
 
     def take(self, event: Event) -> ExplainedCall | ExplainedAnswer | None:
         """Take the next event; return the call that it ends, or the result of flying on before an answer."""
-        self._began.take(event)
-        self._whereabouts.take(event)
+        self.began.take(event)
+        self.whereabouts.take(event)
         self._standings.take(event)
         match event:
             case schema.Decided():
-                self._told.append(self._standings.considered(event, self._began.at_s or 0.0))
+                self._told.append(self._standings.considered(event, self.began.at_s or 0.0))
             case schema.Call():
                 return self._explain(event)
             case schema.ServerStep() | schema.RemoteFailed() | schema.RemoteRaised():
@@ -157,12 +168,12 @@ class Reasons:
     def _explain_answer(self, taken: schema.AnswerTaken) -> ExplainedAnswer | None:
         """None if the drone stayed for the answer, or the call failed."""
         going, back_m = self._going.pop(taken.waypoint, None), self._back_m.pop(taken.waypoint, None)
-        number = self._whereabouts.answered
+        number = self.whereabouts.answered
         went_on = number in self._several if going is None else going.goes
         if number is None or not went_on:
             return None
         hidden_s = max(0.0, self._delays_s[number] - taken.waited_s)
-        return ExplainedAnswer(number, taken, taken.t - (self._began.at_s or 0.0), hidden_s, back_m)
+        return ExplainedAnswer(number, taken, taken.t - (self.began.at_s or 0.0), hidden_s, back_m)
 
     def _explain(self, outcome: schema.Call) -> ExplainedCall:
         if outcome.waypoint is None:
@@ -170,7 +181,7 @@ class Reasons:
         else:
             its, later = _own(self._told, outcome.waypoint)
         self._told = later
-        waypoint, began_s = self._whereabouts.of_call, self._began.at_s or 0.0
+        waypoint, began_s = self.whereabouts.of_call, self.began.at_s or 0.0
         if outcome.waypoint is not None:
             self._several.add(len(self._delays_s))
         self._delays_s.append(outcome.delay_s)
@@ -221,14 +232,16 @@ def explained_calls(events: Iterable[Event]) -> list[CallText]:
                 calls.append(CallText(call))
             case ExplainedAnswer(number=number) as answer:
                 calls[number].answers.append(answer)
-    return calls
+    named = titles({text.call.outcome.operation for text in calls})
+    return [replace(text, title=named[text.call.outcome.operation]) for text in calls]
 
 
 @dataclass(frozen=True, slots=True)
 class CallText:
-    """A call as text, with what became of its answer."""
+    """A call as text, with the title of its operation, and with what became of its answer."""
 
     call: ExplainedCall
+    title: str = ""
     answers: list[ExplainedAnswer] = field(default_factory=list)
 
     @property
@@ -237,7 +250,7 @@ class CallText:
         outcome = self.call.outcome
         where = "" if self.call.waypoint is None else f"waypoint {self.call.waypoint}, "
         place = ran_on(outcome.server)
-        return f"{where}{clock(self.call.at_s)}: {outcome.operation} {place}, {outcome.delay_s:.2f} s"
+        return f"{where}{clock(self.call.at_s)}: {self.title} {place}, {outcome.delay_s:.2f} s"
 
     @property
     def reasons(self) -> list[str]:
@@ -263,7 +276,7 @@ def call_lines(call: ExplainedCall) -> Iterator[str]:
                 yield f"at {clock(each.t - call.began_s)} {server} {_SELECTION_CHANGES[type(each)]}: {why}"
     if outcome.asked and outcome.forecast_s is not None and outcome.finish_by_s is not None:
         yield (
-            f"{outcome.asked} was asked for: so the mission would have ended at {outcome.forecast_s:.0f} s, "
+            f"{outcome.asked} was asked for: so the mission would have ended at {clock(outcome.forecast_s)}, "
             f"{outcome.forecast_s - outcome.finish_by_s:.1f} s later than it was to"
         )
     if outcome.first_s is not None:
@@ -317,9 +330,9 @@ def _beliefs(decision: schema.Decided) -> str:
         drone = "expected: no answer on the drone, which cannot run it"
     if decision.selected is None:
         return drone
-    state = STATE_WORDS.get(str(decision.state), str(decision.state))
+    state = "ready"
     if decision.state != State.READY and decision.check_s is not None:
-        state += f" for {decision.check_elapsed_s or 0.0:.1f} of {decision.check_s:.1f} s"
+        state = f"joining for {decision.check_elapsed_s or 0.0:.1f} of {decision.check_s:.1f} s"
     return f"{drone}, {_seconds(remote_s)} on {decision.selected} ({state})"
 
 

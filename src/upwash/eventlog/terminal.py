@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Column, Table
 from rich.text import Text
 
+from upwash.core.knowledge.servers import State
+from upwash.core.operation import ON_DRONE, titles
 from upwash.eventlog import schema
 from upwash.eventlog.ending import by_place, left_undone, never_ready, reached, went_on
-from upwash.eventlog.narration import STATE_WORDS, Narrator, Sentence, Tone, tone_of
+from upwash.eventlog.narration import STATE_WORDS, Narrator, Tone, in_one_line, tone_of
 from upwash.eventlog.notices import LEFT_HOVERING
+from upwash.eventlog.reasons import explained_calls
 from upwash.eventlog.results import EnergyTotals, RunResult, Totals
 from upwash.eventlog.schema import Event
 from upwash.support.sentences import say
 from upwash.support.tables import fit, show_table
-from upwash.support.text import counted, printable
+from upwash.support.text import clock, counted, lasting, printable
 
 _STILL_WAITING_S = 10.0  # without a line; then a line repeats the state, if the terminal shows no picture
 _WORTH_SHOWING_S = 0.05
+_TOLD_WITHIN_S = 0.5  # after a call: what the mission tells its user of it
 _FEW_CALLS = 20  # their rows leave the verdict in sight
 _LONG_ARMING_S = 1.0
 TONE_STYLES = {
@@ -69,72 +74,131 @@ class LiveDisplay:
         raise NotImplementedError
 
 
+class Course:
+    """The lines of one flight, one for each call with what the mission told its user of it, marked by its place."""
+
+    def __init__(self, marks: Mapping[str, str]) -> None:
+        self.narrator = Narrator()
+        self._marks = marks
+        self._call: tuple[float, Text] | None = None  # which waits for what the mission tells
+
+    def take(self, event: Event) -> Iterator[Text]:
+        """The lines that are complete with the event, each with its time before it."""
+        said = self.narrator.tell(event)
+        if self._call is not None and isinstance(event, schema.Notified):
+            told = Text(in_one_line(event.message), style=TONE_STYLES[Tone.FOUND])
+            yield self._call[1] + Text(" · ") + told
+            self._call = None
+            return
+        if said is not None or (self._call is not None and event.t > self._call[0] + _TOLD_WITHIN_S):
+            yield from self.rest()
+        if said is None:
+            return
+        mark = self._marks.get(event.place, " ") if isinstance(event, schema.Call) else " "
+        line = Text(f"{self.narrator.began.text(event.t):>8}  {mark} ")
+        line += Text(printable(said.text), style=TONE_STYLES.get(said.tone, ""))
+        if isinstance(event, schema.Call):
+            self._call = event.t, line
+            return
+        if isinstance(event, schema.MissionStarted) and len(self._marks) > 1:
+            places = (f"{mark} {'drone' if at == ON_DRONE else at}" for at, mark in self._marks.items())
+            line += Text(f"; {'  '.join(places)}", style="dim")
+        yield line
+
+    def rest(self) -> Iterator[Text]:
+        """The line that still waits."""
+        if self._call is not None:
+            yield self._call[1]
+            self._call = None
+
+
+def marks_of(servers: Iterable[str]) -> dict[str, str]:
+    """A mark for each place of a call, in one order."""
+    return {ON_DRONE: "●", **dict(zip(servers, itertools.cycle("■▲◆▼★"), strict=False))}
+
+
 class Progress(LiveDisplay):
     """Follows the events of a flight: a live display on a terminal, a line per event elsewhere."""
 
     def __init__(self, servers: Iterable[str], waypoints: int, console: Console) -> None:
-        self._states: dict[str, tuple[str, str]] = dict.fromkeys(servers, ("AVL", ""))
+        self._states: dict[str, tuple[str, str]] = dict.fromkeys(servers, (State.AVL, ""))
         self._waypoints = waypoints
-        self._narrator = Narrator()
+        self._marks = marks_of(self._states)
+        self._course = Course(self._marks)
+        self._narrator = self._course.narrator
         self._now_s = self._said_s = 0.0
         super().__init__(console)  # which looks at the picture
+
+    def __exit__(self, *ended: Any) -> None:
+        for line in self._course.rest():
+            self._show(line)
+        super().__exit__(*ended)
 
     def follow(self, event: Event) -> None:
         """Takes in one event."""
         if isinstance(event, schema.ServerStep):
             self._states[event.server] = (event.after, printable(event.why))
         self._now_s = event.t
-        said = self._narrator.tell(event) or self._still_waiting()
-        if said is None:
-            return
-        self._said_s = event.t
-        self._show(
-            Text(f"{self._narrator.began.text(event.t):>11}  ")
-            + Text(printable(said.text), style=TONE_STYLES.get(said.tone, ""))
-        )
+        lines = [*self._course.take(event)] or self._still_waiting()
+        for line in lines:
+            self._said_s = event.t
+            self._show(line)
 
-    def _still_waiting(self) -> Sentence | None:
+    def _still_waiting(self) -> Sequence[Text]:
         now = self._narrator
         if self._now_s - self._said_s < _STILL_WAITING_S or self._console.is_terminal:
-            return None
+            return []
         if now.down_s is not None:
-            return Sentence(f"{now.doing}: {_down(now.down_s)}", Tone.ASIDE)
-        if now.waits_since_s is None:
-            return None
-        return Sentence(
-            f"still {now.doing}, for {self._now_s - now.waits_since_s:.0f} s: {now.waits_for}", Tone.ASIDE
-        )
+            said = f"{now.doing}: {_down(now.down_s)}"
+        elif now.waits_since_s is not None:
+            said = f"still {now.doing}, for {self._now_s - now.waits_since_s:.0f} s: {now.waits_for}"
+        else:
+            return []
+        return [Text(f"{now.began.text(self._now_s):>8}    ") + Text(printable(said), style="dim")]
 
     def _picture(self) -> Group:
         now = self._narrator
-        since_s = now.waits_since_s
-        waited = "" if since_s is None else f" for {self._now_s - since_s:.0f} s"
-        down = "" if now.down_s is None else f", {_down(now.down_s)}"
-        reached = f"{now.reached} of {counted(self._waypoints, 'waypoint')} reached"
-        answers = f" · {counted(now.open_answers, 'answer')} open" if now.open_answers else ""
-        head = Text(f"{now.doing}{waited}{down}{answers} · {reached} · {now.where}")
+        since_s, left_s = now.waits_since_s, now.left_s(self._now_s)
+        parts = [
+            now.doing + ("" if since_s is None else f" for {self._now_s - since_s:.0f} s"),
+            "" if now.down_s is None else _down(now.down_s),
+            f"{counted(now.open_answers, 'answer')} open" if now.open_answers else "",
+            f"{now.reached} of {counted(self._waypoints, 'waypoint')} reached",
+            now.where,
+            "" if left_s is None else f"about {clock(left_s)} left",
+        ]
         taken = [Text(printable(now.control), style="bold red")] if now.control else []
-        return Group(head, *taken, *([self._servers()] if self._states else []))
+        last = Text(" · ".join(filter(None, parts)))
+        return Group(*([self._servers()] if self._states else []), *taken, last)
 
     def _servers(self) -> Table:
-        servers = Table("server", "state", Column("why", style="dim"), box=None, padding=(0, 2))
+        servers = Table("", "server", "state", Column("why", style="dim"), box=None, padding=(0, 1))
         for name, (state, why) in self._states.items():
-            servers.add_row(name, Text(STATE_WORDS[state], style=TONE_STYLES[tone_of(state)]), why)
+            words = Text(STATE_WORDS[state], style=TONE_STYLES[tone_of(state)])
+            servers.add_row(self._marks[name], name, words, why)
         fit(servers, self._console.width)
         return servers
 
 
 def _down(down_s: float) -> str:
-    return f"on the ground in {down_s:.0f} s"
+    return f"on the ground in {clock(down_s)}"
 
 
 def print_result(
-    result: RunResult, console: Console, *, paced: bool, servers: bool, beside: str = "", calls: bool = False
+    result: RunResult,
+    events: Iterable[Event],
+    console: Console,
+    *,
+    paced: bool,
+    servers: bool,
+    beside: str = "",
+    calls: bool = False,
 ) -> None:
     """Prints the mission time against what local calls would have made it, the totals, and then rows of the calls.
 
-    More than a few calls have their rows only with `calls`. Without `servers` there is no word of what only they
-    could have done; what was not in use is not counted. `beside` is a sentence about the mission time.
+    The result is that of the `events`. More than a few calls have their rows only with `calls`. Without `servers`
+    there is no word of what only they could have done; what was not in use is not counted. `beside` is a sentence
+    about the mission time.
     """
     totals = result.totals
     _print_times(result, console, paced=paced)
@@ -161,7 +225,7 @@ def print_result(
     if calls or len(result.calls) <= _FEW_CALLS:
         if result.calls:
             console.print()
-            _print_calls(result, console, servers=servers)
+            _print_calls(result, events, console, servers=servers)
     else:
         say(
             Text(
@@ -184,7 +248,7 @@ def _calls_line(totals: Totals, *, servers: bool) -> str:
         parts.append("no server was selected")
     waited_s = totals.service_delay_s - totals.hidden_s
     spent = "spent in calls" if not totals.hidden_s else "waited for answers"
-    return "; ".join((*parts, f"{waited_s:.1f} s {spent}"))
+    return "; ".join((*parts, f"{lasting(waited_s)} {spent}"))
 
 
 def _waits(totals: Totals) -> str:
@@ -231,36 +295,30 @@ def _print_waypoints(result: RunResult, console: Console) -> None:
         say(Text(LEFT_HOVERING, style="bold red"), console)
 
 
-def _print_calls(result: RunResult, console: Console, *, servers: bool) -> None:
-    operations = sorted({call.operation for call in result.calls})
-    several = len(operations) > 1
-    shown = _short_names(operations)
-    title = Text("Service calls" if several else f"Calls of {''.join(operations)}", style="bold")
+def _print_calls(result: RunResult, events: Iterable[Event], console: Console, *, servers: bool) -> None:
+    named = titles({call.operation for call in result.calls})
+    several = len(named) > 1
+    causes = [text.call.cause for text in explained_calls(events)]
+    title = Text("Service calls" if several else f"Calls of {''.join(named.values())}", style="bold")
     table = Table(box=None, padding=(0, 1), title=title, title_justify="left")
     table.add_column("waypoint", justify="right", no_wrap=True)
     if several:
-        table.add_column("operation", no_wrap=True)
+        table.add_column("service", no_wrap=True)
     if servers:
         table.add_column("place", overflow="fold")
     table.add_column("delay", justify="right", no_wrap=True)
     if servers:
         table.add_column("waited", justify="right", no_wrap=True)
-        table.add_column("decision")
-    for call in result.calls:
+        table.add_column("why")
+    for call, cause in zip(result.calls, causes, strict=True):
         waypoint = "" if call.waypoint is None else str(call.waypoint)
-        operation = [shown[call.operation]] if several else []
+        operation = [named[call.operation]] if several else []
         place = [call.server or "drone"] if servers else []
         waited = f"{call.waited_s:.1f} s" if call.waited_s >= _WORTH_SHOWING_S else ""
-        why = [waited, call.decision] if servers else []
+        why = [waited, cause or ("" if call.decision == "server ready" else call.decision)] if servers else []
         cells = (waypoint, *operation, *place, f"{call.delay_s:.2f} s", *why)
         table.add_row(*(Text(printable(cell)) for cell in cells))  # as text: [heavy] is no markup
     show_table(table, console)
-
-
-def _short_names(operations: Sequence[str]) -> dict[str, str]:
-    """The operations without their services, where that leaves no two alike."""
-    short = [operation.partition(".")[2] for operation in operations]
-    return dict(zip(operations, short if len(set(short)) == len(short) else operations, strict=True))
 
 
 def _print_times(result: RunResult, console: Console, *, paced: bool) -> None:
@@ -269,12 +327,12 @@ def _print_times(result: RunResult, console: Console, *, paced: bool) -> None:
     ended = "" if result.completed else ", not completed"
     local_only_s = result.local_only_time_s()
     if local_only_s is None or not result.totals.remote or not result.completed:
-        say(f"mission time {result.mission_time_s:.1f} s{ended}", console)
+        say(f"mission time {lasting(result.mission_time_s)}{ended}", console)
         return
     saved = 100 * (1 - result.mission_time_s / local_only_s)
     say(
-        f"mission time {result.mission_time_s:.1f} s; with every call on the drone, at the local delay "
-        f"measured in this flight, {local_only_s:.1f} s: {saved:z.0f} % saved",
+        f"mission time {lasting(result.mission_time_s)}; with every call on the drone, at the local delay "
+        f"measured in this flight, {lasting(local_only_s)}: {saved:z.0f} % saved",
         console,
     )
     if paced:

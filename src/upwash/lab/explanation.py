@@ -12,8 +12,8 @@ from upwash.config.problems import unknown
 from upwash.core.policies.names import POLICIES
 from upwash.errors import UsageError
 from upwash.eventlog import schema
+from upwash.eventlog.causes import ran_on
 from upwash.eventlog.log import EventLog
-from upwash.eventlog.narration import ran_on
 from upwash.eventlog.reasons import CallText, explained_calls, worst_of
 from upwash.eventlog.results import RunResult, read_result
 from upwash.eventlog.schema import Event
@@ -21,7 +21,7 @@ from upwash.lab.scenario import read_scenario
 from upwash.lab.simulation import Simulation, simulate, simulate_fleet
 from upwash.support.progress import work
 from upwash.support.sentences import say
-from upwash.support.text import escaped_lines, printable
+from upwash.support.text import escaped_lines, lasting, printable
 
 Kind = TypeVar("Kind", bound=Event)
 
@@ -136,7 +136,7 @@ def explain(events: Iterable[Event], replayed: Replay, wanted: CallChoice) -> It
         yield ""
     if not chosen:
         yield "no call took longer than was expected of the best place for it"
-    took = f"{result.policy} took {result.mission_time_s:.1f} s"
+    took = f"{result.policy} took {lasting(result.mission_time_s)}"
     if not replayed.runs:
         yield f"{took}; give --scenario FILE to see what other policies would have done{_in_its_world(events)}"
         return
@@ -144,9 +144,9 @@ def explain(events: Iterable[Event], replayed: Replay, wanted: CallChoice) -> It
     yield f"{took}; in the same world{others}, simulated:"
     for policy, run in replayed.runs.items():
         ended = "" if run.completed else ", not completed"
-        yield f"    {policy}: {run.mission_time_s:.1f} s{ended}"
+        yield f"    {policy}: {lasting(run.mission_time_s)}{ended}"
     if replayed.bound_s is not None:
-        yield f"    theoretical minimum: {replayed.bound_s:.1f} s"
+        yield f"    theoretical minimum: {lasting(replayed.bound_s)}"
 
 
 def _in_its_world(events: Iterable[Event]) -> str:

@@ -31,6 +31,7 @@ from upwash.eventlog.schema import Event
 from upwash.lab.believed import believed_worlds
 from upwash.lab.flown_rows import RowForecast, flown_rows
 from upwash.support.progress import work
+from upwash.support.text import lasting
 
 _STEP_M_S = 0.1
 _RATIO = 0.75  # of two speeds that are tried at first, or more where many are left
@@ -199,12 +200,10 @@ def _rounded(speed_m_s: float) -> float:
 
 
 def _why(speed_m_s: float, limits: Sequence[SpeedLimit], found: dict[float, RowForecast]) -> str:
-    why = f"{speed_m_s:g} m/s, {found[speed_m_s].mission_s / 60:.1f} min by forecast: {_told(limits)}"
+    why = f"{speed_m_s:g} m/s, {lasting(found[speed_m_s].mission_s)} by forecast: {_told(limits)}"
     top_m_s = max(found)
     return (
-        why
-        if speed_m_s == top_m_s
-        else f"{why}; {top_m_s:g} m/s takes {found[top_m_s].mission_s / 60:.1f} min"
+        why if speed_m_s == top_m_s else f"{why}; {top_m_s:g} m/s takes {lasting(found[top_m_s].mission_s)}"
     )
 
 

@@ -22,10 +22,9 @@ from upwash.preflight.prediction import (
     Prediction,
     changed,
     drawn_worlds,
-    minutes,
     predict,
 )
-from upwash.support.text import counted
+from upwash.support.text import counted, lasting
 
 _ASSUMED = 0.75  # a survey whose rows overlap shows each object on several photos
 
@@ -133,7 +132,7 @@ def _times(predictions: tuple[Prediction, ...]) -> str:
     told = {
         each.case: "not completed"
         if each.mission_time_s is None
-        else minutes(each.mission_time_s, each.margin_s)
+        else lasting(each.mission_time_s, each.margin_s)
         for each in predictions
     }
     if AS_CONFIGURED not in told:

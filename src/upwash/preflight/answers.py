@@ -11,16 +11,17 @@ from upwash.config.checks import only_on_servers
 from upwash.config.drone import DroneConfig
 from upwash.config.drone_file import drone_config
 from upwash.config.reading import Document
+from upwash.core.operation import title_of
 from upwash.drone.preparation import make_estimates
 from upwash.eventlog import schema
 from upwash.eventlog.narration import at_places
-from upwash.eventlog.progress import MissionTime, clock
+from upwash.eventlog.progress import MissionTime
 from upwash.eventlog.schema import Event
 from upwash.lab.run import simulate
 from upwash.missions.bundled import load_specs
 from upwash.preflight.prediction import LOCAL_ONLY, changed
 from upwash.preflight.warnings import PreflightWarning
-from upwash.support.text import counted
+from upwash.support.text import clock, counted
 
 
 class AnsweredAt(Struct, frozen=True, kw_only=True):
@@ -101,11 +102,11 @@ def told_answers(answers: ServerAnswers) -> Iterator[str]:
         if stay.to_s > stay.from_s:
             when = f"from {clock(stay.from_s)} to {clock(stay.to_s)}"
         yield (
-            f"{stay.operation}, {at_places(stay.waypoints)}: answered by {stay.server} {when}, up to "
+            f"{title_of(stay.operation)}, {at_places(stay.waypoints)}: answered by {stay.server} {when}, up to "
             f"{stay.longest_s:.0f} s after the call"
         )
     for never in answers.never:
-        yield f"{never.operation}, {at_places(never.waypoints)}: never answered, as {never.why}"
+        yield f"{title_of(never.operation)}, {at_places(never.waypoints)}: never answered, as {never.why}"
 
 
 def answer_concerns(config: DroneConfig, answers: ServerAnswers) -> Iterator[PreflightWarning]:
@@ -140,5 +141,5 @@ def answer_concerns(config: DroneConfig, answers: ServerAnswers) -> Iterator[Pre
             why = never.why
         yield PreflightWarning(
             "unanswered",
-            f"{count} of {never.operation} will not be answered, at {at_places(never.waypoints)}: {why}",
+            f"{count} of {title_of(never.operation)} will not be answered, at {at_places(never.waypoints)}: {why}",
         )

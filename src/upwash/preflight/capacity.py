@@ -24,7 +24,7 @@ from upwash.preflight.prediction import LOCAL_ONLY
 from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
-from upwash.support.text import counted
+from upwash.support.text import counted, lasting
 
 SLOWER = 1.05  # the most that the mean time may grow for drones that are carried
 _NUMBERS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
@@ -123,7 +123,7 @@ def show_capacity(config: DroneConfig, name: str, *, as_json: bool) -> bool:
 def _print(found: Capacity, console: Console) -> None:
     say(
         f"{found.config}: the same mission flown by several drones at once, all under way within a minute; with "
-        f"every call on the drone it takes {found.local_only_s / 60:.1f} min",
+        f"every call on the drone it takes {lasting(found.local_only_s)}",
         console,
     )
     console.print()
@@ -147,8 +147,8 @@ def _table(found: Capacity) -> Table:
     for load in found.loads:
         table.add_row(
             str(load.drones),
-            f"{load.mean_s / 60:.1f} min",
-            f"{load.worst_s / 60:.1f} min",
+            lasting(load.mean_s),
+            lasting(load.worst_s),
             f"{100 * load.saved:.0f} %",
             f"{100 * load.remote_share:.0f} %",
             ", ".join(f"{server} {load.calls_per_min[server]:.0f}" for server in servers),

@@ -22,16 +22,23 @@ from upwash.preflight.answers import told_answers
 from upwash.preflight.check import CheckInput, MissionCheck, check, missions_to_fly
 from upwash.preflight.load import told_load
 from upwash.preflight.placement import Placement, place
-from upwash.preflight.prediction import LOCAL_ONLY, MOST_WORLDS, Prediction, drawn_worlds, minutes
+from upwash.preflight.prediction import (
+    AS_CONFIGURED,
+    LOCAL_ONLY,
+    MOST_WORLDS,
+    Prediction,
+    drawn_worlds,
+    without,
+)
 from upwash.preflight.speed import told_speed
 from upwash.preflight.warnings import PreflightWarning, is_for_flight
-from upwash.preflight.waypoints import Farthest, ServerCoverage
+from upwash.preflight.waypoints import Farthest
 from upwash.preflight.worth import told_worth
 from upwash.sim.chance import plays_a_part
 from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
-from upwash.support.text import counted
+from upwash.support.text import counted, lasting
 
 _NO_PACE = (
     "the file does not say how the vehicle flies, and the predictions assume 1 m/s² and a take-off of 10 s: for an "
@@ -87,9 +94,11 @@ def _print(found: MissionCheck, config: DroneConfig, to_place: int, console: Con
             "it is a scenario without autopilot.connection and server addresses: what a flight needs was not checked",
             console,
         )
+    if verdict := _verdict(found):
+        say(Text(verdict, style="bold"), console)
     console.print()
     if found.servers:
-        show_table(_coverage_table(found.servers, found.waypoints), console)
+        show_table(_coverage_table(found), console)
         say(
             Text(f"waypoints out of every server's range: {spans(found.uncovered) or 'none'}"),
             console,
@@ -115,12 +124,23 @@ def _print(found: MissionCheck, config: DroneConfig, to_place: int, console: Con
     print_findings(found.notices, found.warnings, console)
 
 
+def _verdict(found: MissionCheck) -> str:
+    """How long the mission takes as configured, and how much less than without servers; "" if unknown."""
+    times_s = {prediction.case: prediction.mission_time_s for prediction in found.predictions}
+    time_s, alone_s = times_s.get(AS_CONFIGURED), times_s.get(LOCAL_ONLY)
+    if not time_s or not alone_s:
+        return ""
+    less = 100 * (1 - time_s / alone_s)
+    which = "more" if less < 0 else "less"
+    return f"{lasting(time_s)} as configured, {abs(less):.0f} % {which} than with every call on the drone"
+
+
 def _told(found: MissionCheck, config: DroneConfig) -> Iterator[Iterable[str]]:
     """The lines of each part that was checked."""
     worth = found.worth or None
     yield (
-        *(told_worth(worth, config) if worth else ()),
-        *([told_load(found.load, worth)] if found.load else ()),
+        *([told_worth(worth, config)] if worth else ()),
+        *([told_load(found.load, judged=worth is not None)] if found.load else ()),
     )
     if found.deadlines is not UNSET:
         yield found.deadlines
@@ -135,12 +155,12 @@ def _told_placement(placement: Placement, asked: int) -> Iterator[str]:
     for site in placement.places:
         yield (
             f"{site.server} at {site.east_m:.0f} m east, {site.north_m:.0f} m north: without it the mission takes "
-            f"{site.gain_s:.0f} s longer"
+            f"{lasting(site.gain_s)} longer"
         )
     if count:
         yield (
-            f"with {counted(count, 'server')} there it takes {placement.mission_time_s / 60:.2f} min, and with one "
-            f"less, at the best places for that, {placement.one_less_s / 60:.2f} min"
+            f"with {counted(count, 'server')} there it takes {lasting(placement.mission_time_s)}, and with one "
+            f"less, at the best places for that, {lasting(placement.one_less_s)}"
         )
     if count < asked:
         yield "one more server would gain nothing, wherever it stands"
@@ -156,22 +176,35 @@ def print_findings(notices: Sequence[str], warnings: Sequence[PreflightWarning],
         console.print(Text("nothing to warn of", style="green"))
 
 
-def _coverage_table(servers: tuple[ServerCoverage, ...], waypoints: int) -> Table:
+def _coverage_table(found: MissionCheck) -> Table:
+    by_case = {prediction.case: prediction for prediction in found.predictions}
+    configured, waypoints = by_case.get(AS_CONFIGURED), found.waypoints
     table = Table(box=None, padding=(0, 2))
     table.add_column("server", overflow="fold")
     table.add_column("covers", justify="right", no_wrap=True)
     table.add_column("waypoints", overflow="fold")
-    table.add_column("longest in range", justify="right", no_wrap=True)
-    for server in servers:
+    for title in ("longest in range", *(["saves as configured"] if configured else [])):
+        table.add_column(title, justify="right", no_wrap=True)
+    for server in found.servers:
+        stay = f"no range: measured at {len(server.measured)} of {waypoints}"
+        if server.range_m is not None:
+            stay = lasting(server.longest_stay_s)
         table.add_row(
             Text(server.server),
             f"{len(server.waypoints)} of {waypoints}",
             spans(server.waypoints),
-            f"{server.longest_stay_s:.0f} s"
-            if server.range_m is not None
-            else f"no range: measured at {len(server.measured)} of {waypoints}",
+            stay,
+            *([_saved(configured, by_case[without(server.server)])] if configured else []),
         )
     return table
+
+
+def _saved(configured: Prediction, other: Prediction) -> str:
+    """What a server saves, by the mission without it."""
+    if configured.mission_time_s is None or other.mission_time_s is None:
+        return "-"
+    margin_s = configured.certain_margin_s + other.certain_margin_s
+    return lasting(other.mission_time_s - configured.mission_time_s, margin_s)
 
 
 def _prediction_table(found: MissionCheck) -> Table:
@@ -196,7 +229,7 @@ def _prediction_cells(prediction: Prediction, local_only_s: float | None, found:
     time_s = prediction.mission_time_s
     if time_s is None:
         return [Text(prediction.case), Text("not completed", style="red")]
-    cells = [Text(prediction.case), Text(minutes(time_s, prediction.margin_s))]
+    cells = [Text(prediction.case), Text(lasting(time_s, prediction.margin_s))]
     cells.append(Text(f"{100 * (time_s / local_only_s - 1):+.0f} %" if local_only_s else "-"))
     if _are_lighter(found):
         cells.append(Text(f"{prediction.lighter or 0:.0f}"))
@@ -205,7 +238,7 @@ def _prediction_cells(prediction: Prediction, local_only_s: float | None, found:
         cells.append(Text(f"{left_wh:.1f} Wh", style="red" if left_wh < 0 else ""))
     elif found.usable_s:
         left_s = found.usable_s - time_s
-        cells.append(Text(f"{left_s / 60:.1f} min", style="red" if left_s < 0 else ""))
+        cells.append(Text(lasting(left_s), style="red" if left_s < 0 else ""))
     return cells
 
 
@@ -231,5 +264,5 @@ def _farthest_line(far: Farthest, config: DroneConfig) -> str:
     needs = "" if far.needed_percent is None else f", {far.needed_percent:.0f} % of the battery"
     return (
         f"from waypoint {far.waypoint}, {far.away_m:.0f} m from home, it takes longest to the ground {down}: "
-        f"{far.home_s:.0f} s{needs}, without wind"
+        f"{lasting(far.home_s)}{needs}, without wind"
     )

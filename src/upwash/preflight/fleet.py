@@ -33,7 +33,6 @@ from upwash.preflight.prediction import (
     LOCAL_ONLY,
     Prediction,
     changed,
-    minutes,
     prediction_of,
 )
 from upwash.preflight.speed import SpeedCheck, check_speed, told_speed
@@ -44,7 +43,7 @@ from upwash.support.confidence import mean_or_none
 from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
-from upwash.support.text import counted
+from upwash.support.text import counted, lasting
 
 
 class DroneForecast(Struct, frozen=True, kw_only=True):
@@ -249,4 +248,4 @@ def _time(prediction: Prediction | None) -> str:
         return "-"
     if prediction.mission_time_s is None:
         return "not completed" if prediction.failures else "vanishes"
-    return minutes(prediction.mission_time_s, prediction.margin_s)
+    return lasting(prediction.mission_time_s, prediction.margin_s)

@@ -22,7 +22,6 @@ from upwash.core.planning.legs import Leg, Pace
 from upwash.drone.preparation import make_estimates, mission_beliefs, two_answers
 from upwash.lab.run import simulate
 from upwash.lab.speed import with_speed
-from upwash.preflight.worth import Worth
 from upwash.rpc.service import ServiceSpec
 
 
@@ -91,20 +90,19 @@ def _mean_way_s(plan: Sequence[Waypoint], ground_speed_m_s: float, pace: Pace) -
     return sum(legs) / (len(plan) - 1) if len(plan) > 1 else 0.0
 
 
-def told_load(load: Load, worth: Worth | None) -> str:
-    """The same in a sentence, with what servers save by the forecast, or could save at most."""
-    if worth is not None:
-        share = worth.saved_s / (worth.alone.mission_time_s or 1.0)
-        saved = f"servers {'save' if share >= 0 else 'cost'} {100 * abs(share):.0f} % of the mission"
+def told_load(load: Load, *, judged: bool) -> str:
+    """The same in a sentence, with what servers could save at most if the forecast has not judged them."""
+    if judged:
+        saved = ""
     elif load.waits or load.ratio > 1:
         most = load.local_s / (load.every_s + load.local_s) if load.waits else 1 - 1 / load.ratio
-        saved = f"a server saves at most {100 * most:.0f} % of the time from photo to photo"
+        saved = f": a server saves at most {100 * most:.0f} % of the time from photo to photo"
     else:
-        saved = "a server saves little in flight"
+        saved = ", and a server saves little in flight"
     needs = f"the drone needs {load.local_s:.3g} s for a photo"
     if load.waits:
-        return f"{needs} and waits for it at each stop, {load.every_s:.2g} s of flight apart: {saved}"
+        return f"{needs} and waits for it at each stop, {load.every_s:.2g} s of flight apart{saved}"
     takes = f"{needs} and takes one each {load.every_s:.2g} s"
     if load.ratio > 1:
-        return f"{takes}, {load.ratio:.1f} times what it can compute: {saved}"
-    return f"{takes}, {load.ratio:.2g} of what it can compute: it keeps up alone, and {saved}"
+        return f"{takes}, {load.ratio:.1f} times what it can compute{saved}"
+    return f"{takes}, {load.ratio:.2g} of what it can compute: it keeps up alone{saved}"

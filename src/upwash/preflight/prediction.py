@@ -50,12 +50,6 @@ def drawn_worlds(config: DroneConfig) -> int:
     return max(1, min(MOST_WORLDS, _PHOTOS // len(waypoints(config.mission))))
 
 
-def minutes(time_s: float, margin_s: float | None) -> str:
-    """A time in minutes, with its margin."""
-    margin = f" ± {margin_s / 60:.2f}" if margin_s is not None else ""
-    return f"{time_s / 60:.2f}{margin} min"
-
-
 def without(server: str) -> str:
     """The case without that server."""
     return f"without {server}"

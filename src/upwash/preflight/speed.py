@@ -15,7 +15,7 @@ from upwash.errors import UpwashError
 from upwash.lab.flown_rows import RowAnswers, RowForecast
 from upwash.lab.run import simulate
 from upwash.lab.speed import chosen_speed, forecast_speed
-from upwash.support.text import counted
+from upwash.support.text import counted, lasting
 
 _QUICKER = 0.95
 _TRIED = 4  # speeds, before one is called quicker
@@ -160,7 +160,7 @@ def told_speed(found: SpeedCheck) -> Iterator[str]:
     """The check in sentences."""
     given = f"{found.ground_speed_m_s:g} m/s"
     if found.answers is not None:
-        given += f", {found.answers.mission_time_s / 60:.1f} min by forecast"
+        given += f", {lasting(found.answers.mission_time_s)} by forecast"
     yield f"ground speed: {found.why or given}"
     if found.auto:
         yield f'mission.speed = "auto" would choose {found.auto}'

@@ -15,6 +15,7 @@ from upwash.core.policies.policy import WaitRule
 from upwash.drone.speed import photo_doubts
 from upwash.preflight.prediction import AS_CONFIGURED, LOCAL_ONLY, Prediction, without
 from upwash.preflight.waypoints import PX4_LOW_PERCENT, ServerCoverage, farthest
+from upwash.support.text import lasting
 
 _LATE_S = 1.0  # less is what the forecast of the last calls was off
 _WORTH_SAYING = 0.01  # of a mission time: less is the luck of when a check happened to begin
@@ -106,14 +107,14 @@ def _range_concerns(
         elif coverage.longest_stay_s <= server.check_running_s:
             yield PreflightWarning(
                 "too-short",
-                f"{coverage.server} is in range for at most {coverage.longest_stay_s:.1f} s at a time, less than a "
-                f"check takes (check_running_s = {server.check_running_s:g}): it is never ready in time",
+                f"{coverage.server} is in range for at most {lasting(coverage.longest_stay_s)} at a time, less than "
+                f"a check takes (check_running_s = {server.check_running_s:g}): it is never ready in time",
             )
         elif coverage.longest_stay_s <= server.check_s:
             yield PreflightWarning(
                 "too-short",
-                f"{coverage.server} is in range for at most {coverage.longest_stay_s:.1f} s at a time, less than a "
-                f"check takes that starts the services (check_s = {server.check_s:g}): it helps only if "
+                f"{coverage.server} is in range for at most {lasting(coverage.longest_stay_s)} at a time, less than "
+                f"a check takes that starts the services (check_s = {server.check_s:g}): it helps only if "
                 "they run already",
             )
 
@@ -168,16 +169,16 @@ def _gain_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> It
     if config.servers and local_only is not None and not _is_slower(local_only, configured, sure=False):
         yield PreflightWarning(
             "no-gain",
-            f"the servers gain next to nothing: {configured.mission_time_s:.0f} s as configured, "
-            f"{local_only.mission_time_s or 0:.0f} s with every call on the drone",
+            f"the servers gain next to nothing: {lasting(configured.mission_time_s)} as configured, "
+            f"{lasting(local_only.mission_time_s or 0.0)} with every call on the drone",
         )
     for server in config.servers:
         other = by_case.get(without(server.name))
         if other is not None and _is_slower(configured, other):
             yield PreflightWarning(
                 "hurts",
-                f"{server.name} makes the mission slower: {configured.mission_time_s:.0f} s with it, "
-                f"{other.mission_time_s or 0:.0f} s with it dead",
+                f"{server.name} makes the mission slower: {lasting(configured.mission_time_s)} with it, "
+                f"{lasting(other.mission_time_s or 0.0)} with it dead",
             )
 
 
@@ -207,7 +208,7 @@ def _time_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> It
     if by_s is None:
         return
     late = [
-        f"{prediction.case} ({prediction.mission_time_s:.0f} s)"
+        f"{prediction.case} ({lasting(prediction.mission_time_s)})"
         for prediction in predictions
         if prediction.mission_time_s is not None and prediction.mission_time_s > by_s + _LATE_S
     ]
@@ -216,23 +217,23 @@ def _time_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> It
         limit = "mission.finish_by_s =" if given else "what the battery allows,"
         yield PreflightWarning(
             "late",
-            f"{limit} {by_s:.0f} s is not kept, as lighter calls do not save enough: {', '.join(late)}",
+            f"{limit} {lasting(by_s)} is not kept, as lighter calls do not save enough: {', '.join(late)}",
         )
 
 
 def _battery_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> Iterator[PreflightWarning]:
     lasts_s = usable_s(config)
     too_long = [
-        f"{prediction.case} ({time_s:.0f} s)"
+        f"{prediction.case} ({lasting(time_s)})"
         for prediction in predictions
         if prediction.mission_time_s is not None
         and lasts_s is not None
         and (time_s := prediction.mission_time_s + prediction.certain_margin_s) > lasts_s
     ]
-    if too_long:
+    if too_long and lasts_s is not None:
         yield PreflightWarning(
             "battery",
-            f"the battery lasts {lasts_s:.0f} s{_above_the_reserve(config)}, which is not enough for the mission "
+            f"the battery lasts {lasting(lasts_s)}{_above_the_reserve(config)}, which is not enough for the mission "
             f"{', '.join(too_long)}",
         )
 
@@ -279,8 +280,9 @@ def _way_home_concerns(config: DroneConfig) -> Iterator[PreflightWarning]:
     if far.out_s + far.home_s > lasts_s:
         yield PreflightWarning(
             "too-far",
-            f"waypoint {far.waypoint} is {far.away_m:.0f} m from home: {far.out_s:.0f} s there and "
-            f"{far.home_s:.0f} s back are more than the battery lasts{_above_the_reserve(config)}, {lasts_s:.0f} s",
+            f"waypoint {far.waypoint} is {far.away_m:.0f} m from home: {lasting(far.out_s)} there and "
+            f"{lasting(far.home_s)} back are more than the battery lasts"
+            f"{_above_the_reserve(config)}, {lasting(lasts_s)}",
         )
 
 

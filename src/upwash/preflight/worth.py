@@ -27,7 +27,7 @@ from upwash.preflight.prediction import (
     changed,
     predict,
 )
-from upwash.support.text import counted
+from upwash.support.text import counted, lasting
 
 _WORTH_CARRYING = 0.01  # of the mission time without servers; less is no reason to carry a box
 
@@ -127,27 +127,31 @@ def judge(
     return replace(worth, spare=spare)
 
 
-def told_worth(worth: Worth, config: DroneConfig) -> Iterator[str]:
-    """The same in a sentence, and one more for servers that the others make superfluous."""
+def told_worth(worth: Worth, config: DroneConfig) -> str:
+    """The same in a sentence with its condition, and the servers that the others make superfluous."""
     share = events_share(config)
     demands = f"{100 * share:.3g} % of the answers demand an act" if share else "no answer demands an act"
     if config.mission.only_tells:
         demands = "answers only tell"
-    servers, them = counted(len(config.servers), "server"), "it" if len(config.servers) == 1 else "them"
-    verdict = "worth" if worth.worth else "not worth"
-    margin = "" if worth.margin_s is None else f" ± {worth.margin_s:.0f}"
-    yield (
-        f"{verdict} carrying to the field: {servers}, saving {worth.saved_s:.0f}{margin} s; flown well, the drone "
-        f"takes {_minutes(worth.alone)} without {them} and {_minutes(worth.served)} with {them}, if {demands}"
+    is_one = len(config.servers) == 1
+    verdict = f"{'is' if is_one else 'are'}{'' if worth.worth else ' not'} worth carrying to the field"
+    them = "it" if is_one else "them"
+    spare = ", ".join(
+        f"{name} (saves {lasting(saved_s)} beside the others)" for name, saved_s in worth.spare.items()
     )
-    if worth.spare:
-        which = ", ".join(f"{server} (saves {saved_s:.0f} s)" for server, saved_s in worth.spare.items())
-        yield f"not worth carrying beside the others: {which}{', one of them' if len(worth.spare) > 1 else ''}"
+    can_stay = f"; {'one of ' * (len(worth.spare) > 1)}{spare} can stay at home then" if spare else ""
+    share_saved = worth.saved_s / (worth.alone.mission_time_s or 1.0)
+    return (
+        f"{counted(len(config.servers), 'server')} {verdict} if the drone flies in its quickest manner and "
+        f"{demands}: {lasting(worth.saved_s, worth.margin_s)} saved, {100 * share_saved:z.0f} %, "
+        f"{_time(worth.served)} with {them} and "
+        f"{_time(worth.alone)} without {them}{can_stay}"
+    )
 
 
-def _minutes(prediction: Prediction) -> str:
+def _time(prediction: Prediction) -> str:
     manner = AS_CONFIGURED if prediction.case == LOCAL_ONLY else prediction.case
-    return f"{(prediction.mission_time_s or 0.0) / 60:.2f} min ({manner})"
+    return f"{lasting(prediction.mission_time_s or 0.0)} ({manner})"
 
 
 def _left_at_home(document: Document, server: str) -> Document:

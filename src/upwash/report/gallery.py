@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from upwash.eventlog.objects import Outline
-from upwash.eventlog.progress import clock
 from upwash.report.crops import Crop, cut_out
 from upwash.report.findings import MOST_PICTURED
 from upwash.report.markup import Markup, element, in_document, joined, svg
@@ -13,7 +12,7 @@ from upwash.report.numbering import PlacedFinding
 from upwash.report.photos import PhotoShelf
 from upwash.report.reviewed import ReviewedFindings
 from upwash.report.tables import table
-from upwash.support.text import printable
+from upwash.support.text import clock, printable
 
 _WITHOUT = (
     "Some findings have no picture. Pictures need OpenCV (upwash[detector]); photos of a folder need --photos FOLDER "

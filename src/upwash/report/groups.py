@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from upwash.report.record import Record
 from upwash.support.confidence import Mean, mean_of
-from upwash.support.text import counted
+from upwash.support.text import counted, lasting
 
 _APART = "\u00a0"  # where no line ends
 
@@ -116,7 +116,10 @@ def verdict(records: Sequence[Record]) -> str:
     groups = groups_of(records)
     if not groups:
         return f"{counts}."
-    means = ", ".join(f"{in_seconds(group.time_s)} with {group.name or 'no name'}" for group in groups)
+    means = ", ".join(
+        f"{lasting(group.time_s.value, group.time_s.margin)} with {group.name or 'no name'}"
+        for group in groups
+    )
     return f"{counts}; the mission took on average {means}."
 
 

@@ -13,14 +13,13 @@ from typing import TypeAlias
 from upwash.core.camera.catalogue import Catalogue, Shift, Sighting
 from upwash.core.camera.georeference import Place
 from upwash.core.geo import GeoPosition, LocalFrame
+from upwash.eventlog.objects import FAULTS, count_of_kind
 from upwash.report.findings import Finding
 from upwash.report.reviews import NO_REVIEWS, Review, Reviews, Verdict
-from upwash.support.text import counted, printable
+from upwash.support.text import counted
 
-_FAULTS = {"hot-spot": "hot-spot", "broken-module": "broken module"}  # words for the detector's labels
 _RESULT = ""  # the label of what has none
 _MOST_KINDS = 6
-_LONGEST_LABEL = 40  # characters
 _Key: TypeAlias = tuple[int, int]  # of a finding: its flight and its place there
 
 
@@ -239,24 +238,12 @@ def what_was_found(findings: Iterable[Finding]) -> str:
         return ""
     if len(kinds) == 1:
         ((label, number),) = kinds.items()
-        return counted(number, "finding") if label == _RESULT else _of_kind(label, number)
+        return counted(number, "finding") if label == _RESULT else count_of_kind(label, number)
     shown = [kind for kind in kinds.most_common() if kind[0] != _RESULT][:_MOST_KINDS]
-    parts = [_of_kind(label, number) for label, number in shown]
+    parts = [count_of_kind(label, number) for label, number in shown]
     if results := kinds[_RESULT]:
         parts.append(counted(results, "result"))
     if others := kinds.total() - results - sum(number for _, number in shown):
         parts.append(f"{others} of other kinds")
-    noun = "fault" if kinds.keys() <= _FAULTS.keys() else "finding"
+    noun = "fault" if kinds.keys() <= FAULTS.keys() else "finding"
     return f"{counted(kinds.total(), noun)}: {', '.join(parts)}"
-
-
-def noun_of(label: str) -> str:
-    """What people call an object of that label."""
-    return _FAULTS.get(label) or printable(label.replace("_", " "), _LONGEST_LABEL)
-
-
-def _of_kind(label: str, number: int) -> str:
-    noun = noun_of(label)
-    if not noun[-1:].isalpha():
-        return f"{number} x {noun}"
-    return counted(number, noun)

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 from upwash.eventlog import schema
 from upwash.eventlog.ending import went_on
-from upwash.eventlog.progress import clock
 from upwash.eventlog.results import RunResult, Totals
+from upwash.support.text import lasting
 
-_MINUTE_S = 60.0
 UNPLANNED = schema.Planned()  # by its identity: what the drone set out to do is not in the log
 
 
@@ -22,13 +21,6 @@ class Outcome:
     plan: schema.Planned
     result: RunResult
     world: tuple[str, int] | None = None
-
-
-def lasting(seconds: float) -> str:
-    """A duration, or a difference of durations, as on the flight page: "15.4 s", "3:46"."""
-    if abs(seconds) < _MINUTE_S:
-        return f"{seconds:z.1f} s"
-    return f"{'-' if seconds < 0 else ''}{clock(abs(seconds))}"
 
 
 def what_it_came_to(run: Outcome, runs: Sequence[Outcome]) -> str:

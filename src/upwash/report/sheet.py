@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from upwash.eventlog.progress import clock
+from upwash.core.operation import title_of
 from upwash.eventlog.reasons import CallText
 from upwash.report import tables
 from upwash.report.dots import draw_differences, draw_times
@@ -16,6 +16,7 @@ from upwash.report.numbering import are_a_fleet
 from upwash.report.outcome import what_it_came_to
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record, reviewed_of
+from upwash.support.text import clock
 
 _SIDE_BY_SIDE = 3  # flights; more are summed up
 _PICTURES = 60
@@ -110,6 +111,6 @@ def _explained(worst: CallText) -> Markup:
     call, outcome = worst.call, worst.call.outcome
     where = "before the first waypoint" if call.waypoint is None else f"waypoint {call.waypoint}"
     at = f"ended at {clock(call.at_s + outcome.delay_s)}, {call.loss_s:.1f} s lost"
-    heading = element("strong", f"{where}: {outcome.operation}, {at}")
+    heading = element("strong", f"{where}: {title_of(outcome.operation)}, {at}")
     reasons = [element("li", reason) for reason in worst.reasons]
     return element("li", heading, element("ul", *reasons) if reasons else "")

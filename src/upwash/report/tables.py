@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TypeVar
 
+from upwash.core.operation import titles
 from upwash.eventlog.ending import by_place
 from upwash.eventlog.results import RunResult, mean_local_delay_s
 from upwash.report.markup import Markup, element
 from upwash.report.record import Record
+from upwash.support.text import lasting
 
 _MOST_ROWS = 300  # of a table
 _AT_EITHER_END = 100
@@ -73,7 +75,7 @@ def total_rows(results: Sequence[RunResult]) -> Iterator[tuple[str, list[str]]]:
         if any(value != "0" for values in told.values() for value in values):
             yield from told.items()
     if any(result.totals.hidden_s for result in results):
-        yield "of the calls' time hidden", [f"{result.totals.hidden_s:.1f} s" for result in results]
+        yield "of the calls' time hidden", [lasting(result.totals.hidden_s) for result in results]
     if any(result.energy for result in results):
         yield "drawn from the battery", list(map(_drawn, results))
     yield from _of_operations(results)
@@ -86,11 +88,11 @@ def _of_operations(results: Sequence[RunResult]) -> Iterator[tuple[str, list[str
     for result, delays in zip(results, delays_s, strict=True):
         for call in result.calls:
             delays.setdefault(call.operation, []).append(call.delay_s)
-    for operation in sorted({operation for delays in delays_s for operation in delays}):
+    for operation, title in titles(sorted({name for delays in delays_s for name in delays})).items():
         means = [_mean(delays.get(operation)) for delays in delays_s]
         alone = [f"{local[operation]:.2f} s" if operation in local else "not measured" for local in local_s]
         told = [f"{mean}, {own}" if mean else "" for mean, own in zip(means, alone, strict=True)]
-        yield f"mean of {operation}, and on the drone", told
+        yield f"mean of {title}, and on the drone", told
 
 
 def _mean(delays_s: Sequence[float] | None) -> str:
@@ -107,14 +109,14 @@ def _waits(result: RunResult) -> str:
 
 def _local_only(result: RunResult) -> str:
     local_only_s = result.local_only_time_s()
-    return "not known" if local_only_s is None else f"{local_only_s:.1f} s"
+    return "not known" if local_only_s is None else lasting(local_only_s)
 
 
 def _saved(result: RunResult) -> str:
     local_only_s, saved_s = result.local_only_time_s(), result.saved_s()
     if not local_only_s or saved_s is None:
         return "not known"
-    return f"{saved_s:z.1f} s, {100 * saved_s / local_only_s:z.0f} %"
+    return f"{lasting(saved_s)}, {100 * saved_s / local_only_s:z.0f} %"
 
 
 def _drawn(result: RunResult) -> str:
@@ -126,14 +128,14 @@ def _drawn(result: RunResult) -> str:
 
 _ALWAYS: Mapping[str, Callable[[RunResult], str]] = {
     "policy": lambda run: run.policy,
-    "mission time": lambda run: f"{run.mission_time_s:.1f} s{'' if run.completed else ', not completed'}",
+    "mission time": lambda run: f"{lasting(run.mission_time_s)}{'' if run.completed else ', not completed'}",
     "waypoints reached": _reached,
     "calls": lambda run: str(run.totals.calls),
     "calls by place": lambda run: by_place(run.totals),
     "calls that fell back to the drone": lambda run: str(run.totals.fallbacks),
     "waits, wasted": _waits,
     "selections of a server": lambda run: str(run.totals.switches),
-    "time spent in calls": lambda run: f"{run.totals.service_delay_s:.1f} s",
+    "time spent in calls": lambda run: lasting(run.totals.service_delay_s),
     "with every call on the drone": _local_only,
     "saved by offloading": _saved,
 }
@@ -158,7 +160,7 @@ def flights(records: Sequence[Record]) -> Markup:
         return [
             record.name,
             result.policy,
-            f"{result.mission_time_s:.1f} s",
+            lasting(result.mission_time_s),
             by_place(result.totals),
             _waits(result),
             str(result.totals.fallbacks),

@@ -12,6 +12,8 @@ from datetime import datetime
 
 LONGEST_TEXT = 1000
 _NUMBER = re.compile(r"[ \t]*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?[ \t]*", re.ASCII)
+_MINUTE_S = 60.0
+_NO_MARGIN_S = 1e-6  # of equal numbers, whose mean is rounded
 _LONGEST_NUMBER = 60  # characters of what is none
 _PLURALS = {
     "person": "people",
@@ -139,6 +141,25 @@ def plural(noun: str) -> str:
     else:
         several = f"{last}s"
     return " ".join([*before, several])
+
+
+def clock(seconds: float) -> str:
+    """A second of the mission as the pages show it: "4:05", and from an hour on "1:04:05"."""
+    minutes, second = divmod(max(0, int(seconds)), 60)
+    hours, minute = divmod(minutes, 60)
+    return f"{hours}:{minute:02}:{second:02}" if hours else f"{minute}:{second:02}"
+
+
+def lasting(seconds: float, margin_s: float | None = None) -> str:
+    """A duration, or a difference of durations, as on the flight page: "15.4 s", "3:46", "3:46 ± 1.2 s".
+
+    A margin that is None, infinite (of one observation) or 0 (of equal ones) is left out.
+    """
+    is_sure = margin_s is None or math.isinf(margin_s) or margin_s < _NO_MARGIN_S
+    margin = "" if is_sure else f" ± {margin_s:.1f} s"
+    if abs(seconds) < _MINUTE_S:
+        return f"{seconds:z.1f}{margin or ' s'}"
+    return f"{'-' if seconds < 0 else ''}{clock(abs(seconds))}{margin}"
 
 
 def duration(seconds: float) -> str:

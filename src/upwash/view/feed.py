@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 
 import msgspec
 
+from upwash.eventlog.objects import noun_of
 from upwash.eventlog.results import RunResult
 from upwash.report.numbering import (
     FlightFindings,
     Numbered,
     are_a_fleet,
-    noun_of,
     numbered,
     offset_m,
     what_was_found,

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 _SHARE = 0.25  # until it is measured
 _LEAST_CALLS = 2  # of one drone, for a measured share
 _WEIGHT = 0.2  # of the latest call in a drone's share
-_MOST_DRONES = 64  # whose shares count, the latest
+MOST_DRONES = 64  # whose shares count, the latest
 _FEW = 0.02  # a share that is written with a decimal
 
 
@@ -62,7 +62,7 @@ class MeasuredSlots:
         known = calls.setdefault(drone, _Calls(None))
         calls.move_to_end(drone)
         known.answered(took_s=took_s, queued_s=queued_s, now_s=now_s)
-        if len(calls) > _MOST_DRONES:
+        if len(calls) > MOST_DRONES:
             calls.popitem(last=False)
 
     @property
@@ -90,7 +90,7 @@ class MeasuredSlots:
 
     def _count_of(self, service: str) -> int:
         lanes, share = self._lanes[service], self._share_of(service)
-        return max(lanes, min(_MOST_DRONES, int(lanes / (_SHARE if share is None else share))))
+        return max(lanes, min(MOST_DRONES, int(lanes / (_SHARE if share is None else share))))
 
     def _share_of(self, service: str) -> float | None:
         shares = [

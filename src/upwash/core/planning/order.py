@@ -157,7 +157,8 @@ def best_order(
     saved = 1 - best_s / given_s
     if best is None or saved <= 0:
         return Order(tuple(given), "as given: by forecast no sweep is quicker")
-    gain = f"{100 * saved:.1f} % by forecast ({best_s / 60:.1f} instead of {given_s / 60:.1f} min)"
+    best_min, given_min = (f"{int(s) // 60}:{int(s) % 60:02}" for s in (best_s, given_s))
+    gain = f"{100 * saved:.1f} % by forecast ({best_min} instead of {given_min})"
     if saved < LEAST_SAVED:
         least = f"less than {100 * LEAST_SAVED:g} %"
         return Order(tuple(given), f"as given: the best, {best}, saves {gain}, {least}")

@@ -19,7 +19,7 @@ from upwash.support.confidence import Mean, mean_saving
 from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
-from upwash.support.text import counted
+from upwash.support.text import counted, lasting
 
 _NO_MARGIN = 1e-6  # seconds or watt-hours: a mean of equal numbers is rounded
 _FAILURES_SHOWN = 10  # of each combination: the file has them all
@@ -106,8 +106,8 @@ def _winners(summaries: Sequence[CombinationSummary]) -> list[CombinationSummary
     """The combinations with the least mean time as printed; none where all have it."""
     if (quickest := _quickest(summaries)) is None:
         return []
-    least = f"{quickest[0] / 60:.2f}"
-    alike = [s for s in summaries if s.mission_time_s and f"{s.mission_time_s.value / 60:.2f}" == least]
+    least = lasting(quickest[0])
+    alike = [s for s in summaries if s.mission_time_s and lasting(s.mission_time_s.value) == least]
     return alike if len(alike) < len(summaries) else []
 
 
@@ -121,11 +121,11 @@ def _verdict(sweep: ParameterSweep, summaries: Sequence[CombinationSummary]) -> 
     )
     bound_s = best.bound_s
     above = (
-        f", {_above(mean_s, bound_s)} above the theoretical minimum of {bound_s / 60:.2f}" if bound_s else ""
+        f", {_above(mean_s, bound_s)} above the theoretical minimum of {lasting(bound_s)}" if bound_s else ""
     )
     failed = sum(len(summary.failures) for summary in summaries)
     failures = f"; {counted(failed, 'mission')} failed" if failed else "; no mission failed"
-    return f"{which}{mean_s / 60:.2f} min{above}{failures}"
+    return f"{which}{lasting(mean_s)}{above}{failures}"
 
 
 def _settings(sweep: ParameterSweep, summary: CombinationSummary) -> list[str]:
@@ -162,11 +162,11 @@ def _table(sweep: ParameterSweep, summaries: Sequence[CombinationSummary]) -> Ta
             *(Text(value) for value in summary.values),
             str(completed),
             Text(str(failed), style="red" if failed else ""),
-            _minutes(mean) if mean else "-",
+            lasting(mean.value, mean.margin) if mean else "-",
             _above(mean.value, summary.bound_s) if mean and summary.bound_s else "-",
             *(_of_several(summary) if together else []),
             *([_drawn(summary.energy_wh)] if metered else []),
-            style="bold" if summary in winners else None,
+            style="bold green" if summary in winners else None,
         )
     return table
 
@@ -180,10 +180,6 @@ def _all_are_alike(summaries: Sequence[CombinationSummary]) -> bool:
     return bool(times) and all(map(_are_alike, times))
 
 
-def _minutes(mean: Mean) -> str:
-    return f"{mean.value / 60:.2f}{_margin(mean, mean.margin / 60)}"
-
-
 def _margin(mean: Mean, margin: float) -> str:
     return "" if mean.count == 1 or _are_alike(mean) else f" ± {margin:.2f}"
 
@@ -191,7 +187,7 @@ def _margin(mean: Mean, margin: float) -> str:
 def _of_several(summary: CombinationSummary) -> list[str]:
     if summary.worst_s is None or summary.jain is None:
         return ["-", "-"]
-    return [f"{summary.worst_s.value / 60:.2f}", f"{summary.jain.value:.3f}"]
+    return [lasting(summary.worst_s.value), f"{summary.jain.value:.3f}"]
 
 
 def _drawn(mean: Mean | None) -> str:

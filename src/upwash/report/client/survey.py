@@ -10,11 +10,11 @@ from typing import TypeAlias
 
 from upwash.core.camera.georeference import Ground
 from upwash.eventlog import schema
-from upwash.eventlog.progress import clock
 from upwash.report.findings import Finding, TakenPhoto
 from upwash.report.numbering import PlacedFinding, are_a_fleet, offset_m, sureness
 from upwash.report.record import Record, reviewed_of
 from upwash.report.reviewed import Tally
+from upwash.support.text import clock
 
 PhotoKey: TypeAlias = tuple[int, int]  # the flight, and the photo's number there
 

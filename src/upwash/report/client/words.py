@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from upwash.errors import ConfigError
-from upwash.report.numbering import noun_of
+from upwash.eventlog.objects import noun_of
 from upwash.report.palette import LIGHT
 from upwash.support.input_files import read_named_text
 from upwash.support.text import printable
