@@ -10,6 +10,7 @@ import upwash
 from upwash.cli.main import main
 from upwash.lab import processes
 from upwash.lab.campaigns.comparison import ENTRANTS, thesis_scenarios
+from upwash.support.text import lasting
 
 ROOT = Path(__file__).parents[2]
 LINE = ROOT / "scenarios" / "power-line-light.toml"
@@ -143,7 +144,7 @@ def test_a_comparison_of_drones_that_go_says_how_often_they_turned_back(
     assert row.count("|") == rule.count("|") == 2 + len(ENTRANTS)
     rows = upwash.compare([scenario], seeds=1, workers=1, overrides={"policy.stay_or_go": "go"})
     assert all(each.turned_back and each.hidden_s for each in rows)
-    assert f"| {rows[0].turned_back:.1f}, {(rows[0].hidden_s or 0) / 60:.2f} |" in row
+    assert f"| {rows[0].turned_back:.1f}, {lasting(rows[0].hidden_s or 0)} |" in row
 
 
 @pytest.mark.parametrize("settings", [["policy.stay_or_go=go,stay"], ["seed=1"], ["mission.mode=light"] * 2])

@@ -17,6 +17,7 @@ from upwash.cli.main import main
 from upwash.eventlog import schema
 from upwash.eventlog.results import as_json
 from upwash.lab.outcome import jain
+from upwash.support.text import lasting
 
 SCENARIO = """
 seed = 5
@@ -150,7 +151,7 @@ def test_the_command_prints_a_row_for_each_drone_and_keeps_a_log_of_each(
         named, *events = upwash.read_log(tmp_path / f"flown-{name}.jsonl")
         assert isinstance(named, schema.Simulated) and named.seed == 5
         assert events == each.events
-    assert f"mean {fleet.mean_s:.1f} s, worst {fleet.worst_s:.1f} s" in printed
+    assert f"mean {lasting(fleet.mean_s)}, worst {lasting(fleet.worst_s)}" in printed
     assert "not counted, as they did not complete their missions: d3" in printed
 
 

@@ -210,7 +210,7 @@ def test_the_command_prints_the_quickest_first_and_one_json_object(
     log = log_of(tmp_path, flown("look-ahead"))
     assert main(["whatif", str(log), "--draws", "4", "--workers", "1"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert " min under look-ahead; 12 calls, " in lines[0]
+    assert "flown in 2:25 under look-ahead; 12 calls, " in lines[0]
     assert any("look-ahead (flown)" in line for line in lines)
     assert any(line.endswith(" is quicker than local-only") for line in lines)
     assert (

@@ -30,7 +30,7 @@ from upwash.report.exports import write_csv, write_geojson
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record, read_records
 from upwash.report.sheet import draw_sheet
-from upwash.support.text import clock
+from upwash.support.text import clock, lasting
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 HOSTILE = "</title><script>alert('1')</script>&\"\x00]]>"
@@ -87,18 +87,18 @@ def test_the_totals_on_the_page_are_the_results(records: list[Record]) -> None:
     (table,) = tables_named(tree_of(records), "Totals")
     told = {row[0]: row[1:] for row in table}
     results = [record.result for record in records]
-    assert told["mission time"] == [f"{result.mission_time_s:.1f} s" for result in results]
+    assert told["mission time"] == [lasting(result.mission_time_s) for result in results]
     assert told["calls by place"] == ["18 on the drone, 51 on s1, 52 on s2", "121 on the drone"]
-    assert told["time spent in calls"] == [f"{result.totals.service_delay_s:.1f} s" for result in results]
+    assert told["time spent in calls"] == [lasting(result.totals.service_delay_s) for result in results]
     assert told["with every call on the drone"] == [
-        f"{result.local_only_time_s():.1f} s" for result in results
+        lasting(result.local_only_time_s() or 0.0) for result in results
     ]
 
 
 def test_the_mean_of_each_operation_stands_beside_what_it_takes_on_the_drone(records: list[Record]) -> None:
     (table,) = tables_named(tree_of(records), "Totals")
     name, *means = table[-1]
-    assert name == "mean of detector.process_photo[heavy], and on the drone"
+    assert name == "mean of detector (heavy), and on the drone"
     for record, mean in zip(records, means, strict=True):
         delays = [call.delay_s for call in record.result.calls]
         local = [call.delay_s - call.waited_s for call in record.result.calls if call.server is None]
@@ -392,7 +392,7 @@ def test_turns_back_and_answers_that_it_went_on_before_are_told(going: Record) -
     told = {row[0]: row[1] for row in totals}
     assert told["went on before the answer"] == "17"
     assert told["turned back for the answer"] == "3"
-    assert told["of the calls' time hidden"] == f"{going.result.totals.hidden_s:.1f} s"
+    assert told["of the calls' time hidden"] == lasting(going.result.totals.hidden_s)
 
 
 def test_each_call_stands_where_it_was_made_though_it_was_answered_elsewhere(going: Record) -> None:

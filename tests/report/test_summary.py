@@ -13,6 +13,7 @@ from tests.report.pages import heads, of_class, parsed, table_named, text
 
 from upwash.report.groups import differences, groups_of, in_words, verdict, what_groups
 from upwash.report.record import Record, read_records
+from upwash.support.text import lasting
 
 
 def flight(
@@ -91,7 +92,7 @@ def test_a_flight_that_was_not_completed_is_in_no_mean(tmp_path: Path) -> None:
     records = [*flown(tmp_path, BOTH), *read_records([flight(tmp_path, "fast", 7, 3.0, completed=False)])]
     assert groups_of(records)[0].time_s.count == 3
     assert verdict(records).replace("\u00a0", " ") == (
-        "7 flights, 6 completed; the mission took on average 102.0 ± 5.0 s with fast, 124.0 ± 13.1 s with slow."
+        "7 flights, 6 completed; the mission took on average 1:42 ± 5.0 s with fast, 2:04 ± 13.1 s with slow."
     )
     assert verdict(records[-1:]) == "1 flight, 0 completed."
 
@@ -113,7 +114,7 @@ def test_from_four_flights_on_the_page_has_a_summary(tmp_path: Path) -> None:
         "Mission time by policy", "Differences within the same scenario and seed",
     ]  # fmt: skip
     rows = table_named(many, "Flights")
-    assert [row[1:3] for row in rows[1:]] == [[policy, f"{time_s:.1f} s"] for policy, _, time_s in BOTH]
+    assert [row[1:3] for row in rows[1:]] == [[policy, lasting(time_s)] for policy, _, time_s in BOTH]
     assert len(of_class(many, "dot")) == 6 + 3, "a dot a flight, and a dot a pair"
 
 

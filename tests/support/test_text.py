@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.support.text import by_name, escaped, escaped_lines, json_line, printable, worded
+from upwash.support.text import by_name, escaped, escaped_lines, json_line, lasting, printable, worded
 
 
 @pytest.mark.parametrize(
@@ -72,3 +72,23 @@ def test_an_error_is_worded_whatever_its_own_code_does(error: BaseException, wor
 def test_names_are_sorted_as_people_count() -> None:
     names = ["pole10", "pole2", "s", "pole2b", "pole02", "2", "10", "pole" + "9" * 9000]
     assert sorted(names, key=by_name) == ["2", "10", "pole02", "pole2", "pole2b", "pole10", names[-1], "s"]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "margin_s", "words"),
+    [
+        (15.44, None, "15.4 s"),
+        (-0.01, None, "0.0 s"),
+        (96.6, None, "1:36"),
+        (-226.0, None, "-3:46"),
+        (3723.0, None, "1:02:03"),
+        (1482.7, 1.14, "24:42 ± 1.1 s"),
+        (5.0, 0.25, "5.0 ± 0.2 s"),
+        (1482.7, float("inf"), "24:42"),  # of one mission
+        (1482.7, 1e-12, "24:42"),  # of equal missions
+    ],
+)
+def test_a_duration_is_in_minutes_and_seconds_from_a_minute_on(
+    seconds: float, margin_s: float | None, words: str
+) -> None:
+    assert lasting(seconds, margin_s) == words

@@ -254,7 +254,7 @@ def test_of_two_drones_one_whose_program_is_killed_does_not_end_the_other_which_
     assert len({*plan_of(whole), *plan_of(cut)}) == 2 * WAYPOINTS, "each on its own lane"
     assert "1 of 2 flights completed; mission time: mean" in output
     assert any(
-        line.startswith("drone-1  ") and line.endswith("s  landed at home") for line in output.splitlines()
+        line.startswith("drone-1  ") and line.endswith("  landed at home") for line in output.splitlines()
     )
     assert (tmp_path / "run" / "keys" / "drone-2.key").exists(), "each has its own"
     assert set(demonstration.flown("drone-1.jsonl").totals.remote) == {"s1", "s2"}

@@ -194,10 +194,12 @@ def _as_object(simulation: Simulation) -> dict[str, Any]:
 
 def _beside(simulation: Simulation, bound: Bound) -> str:
     time_s = simulation.mission_time_s
-    minimum = f"theoretical minimum {_beyond(bound.free_s, time_s)}, with every server ready at once"
+    least, with_joins = _beyond(bound.free_s, time_s), _beyond(bound.with_joins_s, time_s)
+    minimum = f"theoretical minimum {least}, with every server ready at once"
     if simulation.totals.went_on:
         return f"{minimum} and known beforehand which answers demand something"
-    return f"{minimum}; {_beyond(bound.with_joins_s, time_s)}, with the time that joining networks takes"
+    joins = "the time that joining networks takes"
+    return f"{minimum}, and with {joins}" if with_joins == least else f"{minimum}; {with_joins}, with {joins}"
 
 
 def _print_fleet(fleet: FleetSimulation) -> None:

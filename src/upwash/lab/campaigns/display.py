@@ -150,8 +150,8 @@ def _table(sweep: ParameterSweep, summaries: Sequence[CombinationSummary]) -> Ta
         table.add_column("", no_wrap=True)  # the mark of the quickest
     for key in sweep.keys:
         table.add_column(Text(key.replace(".", ".\n")), overflow="fold")
-    titles = ["completed", "failed", "minutes", "above the\nminimum"]
-    titles += ["worst\nminutes", "fairness"] if together else []
+    titles = ["completed", "failed", "mission time", "above the\nminimum"]
+    titles += ["worst\ntime", "fairness"] if together else []
     for title in (*titles, *(["drawn"] if metered else [])):
         table.add_column(Text(title), justify="right", no_wrap=True)
     for summary in summaries:
