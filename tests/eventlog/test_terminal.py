@@ -238,3 +238,8 @@ def test_the_time_left_is_the_forecasts_and_later_by_what_the_drone_is_late() ->
     assert head([STARTED, foreseen, armed, arrived]).endswith("about 1:20 left")
     down = event("position", 90.0, **PLACE, altitude_m=9.0, down_s=7.0)
     assert head([STARTED, foreseen, armed, arrived, down]).endswith("about 0:07 left")
+
+
+def test_a_server_that_another_one_prepared_is_told_in_words() -> None:
+    prepared = event("prepared", 1.0, server="s1", before="AVL", after="AVL-R", why="by s2")
+    assert lines([prepared]) == ["s1 is running, not joined: prepared by s2"]

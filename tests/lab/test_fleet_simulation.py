@@ -151,6 +151,7 @@ def test_the_command_prints_a_row_for_each_drone_and_keeps_a_log_of_each(
         named, *events = upwash.read_log(tmp_path / f"flown-{name}.jsonl")
         assert isinstance(named, schema.Simulated) and named.seed == 5
         assert events == each.events
+    assert fleet.mean_s is not None and fleet.worst_s is not None
     assert f"mean {lasting(fleet.mean_s)}, worst {lasting(fleet.worst_s)}" in printed
     assert "not counted, as they did not complete their missions: d3" in printed
 

@@ -274,6 +274,8 @@ def _of_act(event: schema.Demanded | schema.PutOff | schema.TurnedBack | schema.
 def _sentence(event: Event) -> Sentence | None:
     """The sentence of an event whose words depend on its content."""
     match event:
+        case schema.Prepared(server=server, why=why):
+            return Sentence(f"{server} is running, not joined: prepared {why}", Tone.ASIDE)
         case schema.ServerStep(server=server, before=before, after=after, why=why):
             return Sentence(f"{_step(server, before, after)}{f' ({why})' if why else ''}", tone_of(after))
         case schema.Notified(message=message):

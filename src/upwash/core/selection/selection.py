@@ -203,7 +203,7 @@ class Selection(Part):
                 server = self.servers[name]
                 if server.state in (State.AVL, State.AVL_R):
                     self.estimates.services_started(name)
-                    moment.step(server, Trigger.PREPARED, f"{by} started its services")
+                    moment.step(server, Trigger.PREPARED, f"by {by}")
                     self._table.meet()
                 return
             case events.LegBegun() | events.LegEnded() | events.TargetUnknown():
