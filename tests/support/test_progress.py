@@ -43,7 +43,7 @@ def test_into_a_file_a_line_comes_each_ten_seconds_with_what_is_done_and_left() 
     assert file.getvalue().splitlines() == [
         "check: missions: 0 of 4; 2 s so far",
         "check: missions: 1 of 4; 12 s so far, about 36 s left",
-        "check: missions: 1 of 4; 22 s so far, about 66 s left",
+        "check: missions: 1 of 4; 22 s so far, about 1 min 6 s left",
     ]
 
 

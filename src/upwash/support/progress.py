@@ -20,11 +20,11 @@ from dataclasses import dataclass
 from typing import TextIO
 
 from upwash.support.background import only_logged, thread
+from upwash.support.text import duration
 
 _QUIET_S = 2.0
 _LINE_EVERY_S = 10.0
 _LOOK_EVERY_S = 0.5
-_LONG_S = 120.0  # from here on in minutes
 
 
 @dataclass(slots=True)
@@ -94,10 +94,10 @@ class Progress:
 
     def _line(self, now_s: float) -> str:
         parts = "; ".join(part.told() for part in self._work)
-        said = f"{self._command}: {parts}; {_duration(now_s - self._work[0].began_s)} so far"
+        said = f"{self._command}: {parts}; {duration(now_s - self._work[0].began_s)} so far"
         whole = next((part for part in self._work if part.total), None)
         left_s = None if whole is None else whole.left_s(now_s)
-        return said if left_s is None else f"{said}, about {_duration(left_s)} left"
+        return said if left_s is None else f"{said}, about {duration(left_s)} left"
 
     def _wipe(self) -> None:
         if self._rewrites and self._said_s is not None:
@@ -142,7 +142,3 @@ def work(what: str, total: int | None = None) -> Generator[Callable[..., None]]:
         return
     with _shown.work(what, total) as done:
         yield done
-
-
-def _duration(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < _LONG_S else f"{seconds / 60:.0f} min"

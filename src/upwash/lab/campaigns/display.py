@@ -19,11 +19,10 @@ from upwash.support.confidence import Mean, mean_saving
 from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
-from upwash.support.text import counted, lasting
+from upwash.support.text import counted, duration, lasting
 
 _NO_MARGIN = 1e-6  # seconds or watt-hours: a mean of equal numbers is rounded
 _FAILURES_SHOWN = 10  # of each combination: the file has them all
-_FEW_MINUTES_S, _FEW_HOURS_S = 100.0, 6_000.0  # below these times are printed in seconds, in minutes
 
 
 class _Rate(ProgressColumn):
@@ -86,15 +85,9 @@ def show_campaign(
 def _planned(cost: Cost, workers: int | None) -> str:
     what = f"{counted(cost.missions, 'mission')} to fly, each {cost.mission_s:.3g} s of a processor's time"
     if workers is None:
-        return f"{what}: {_duration(cost.missions * cost.mission_s)} of it in all"
+        return f"{what}: {duration(cost.missions * cost.mission_s)} of it in all"
     processes = "one process" if workers == 1 else f"{workers} processes"
-    return f"{what}: about {_duration(cost.missions * cost.mission_s / workers)} in {processes}"
-
-
-def _duration(seconds: float) -> str:
-    if seconds < _FEW_MINUTES_S:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < _FEW_HOURS_S else f"{seconds / 3600:.1f} h"
+    return f"{what}: about {duration(cost.missions * cost.mission_s / workers)} in {processes}"
 
 
 def _quickest(summaries: Sequence[CombinationSummary]) -> tuple[float, CombinationSummary] | None:
