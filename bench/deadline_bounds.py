@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from bench.program import command_line, machine
 
-from upwash.core.selection.deadlines import Deadline, Delays, Prospect, prospect
+from upwash.core.selection.deadlines import AnswerDeadline, Delays, Prospect, prospect
 
 WITHIN_S = 1.5
 SETS = 2000
@@ -103,7 +103,7 @@ def rows(sets: int) -> Iterator[str]:
 def _row(servers: str, kind: Kind, count: int, sets: int, *, two: bool, gap: float) -> str:
     """With a `gap` both servers are late together, in that share of the calls, and for no other cause."""
     chance = random.Random(f"{servers}/{kind.name}/{count}")
-    asked = Deadline(WITHIN_S, 0.99, 0.1)
+    asked = AnswerDeadline(WITHIN_S, 0.99, 0.1)
     high = accepted = wrong = 0
     for _ in range(sets):
         first = Delays([kind.draw(chance) for _ in range(count)])
@@ -124,7 +124,7 @@ def _row(servers: str, kind: Kind, count: int, sets: int, *, two: bool, gap: flo
     return f"| {' | '.join(cells)} |"
 
 
-def _true(kind: Kind, plan: Prospect, asked: Deadline) -> float:
+def _true(kind: Kind, plan: Prospect, asked: AnswerDeadline) -> float:
     """The true probability of an answer in time, with a second server asked as planned."""
     alone = kind.share_by(asked.within_s)
     if plan.after_s is None:

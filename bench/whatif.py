@@ -27,7 +27,7 @@ from upwash.errors import UsageError
 from upwash.lab import processes
 from upwash.lab.run import simulate
 from upwash.lab.scenario import read_scenario, with_policy
-from upwash.lab.whatif import DRAWS, Prediction, Replays, what_if
+from upwash.lab.whatif import DRAWS, ReplayedTime, Replays, what_if
 from upwash.lab.worlds import draw_world
 from upwash.sim.camera import eventful
 from upwash.sim.chance import Chance
@@ -71,7 +71,7 @@ class Pair:
     world: int
     log: str
     flown_s: float
-    predicted: Prediction
+    predicted: ReplayedTime
     true_s: float
     notes: Sequence[str]
 

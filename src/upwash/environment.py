@@ -14,7 +14,7 @@ from upwash.core.knowledge.servers import CHECKING
 from upwash.errors import UsageError
 from upwash.lab.run import Run
 from upwash.lab.scenario import read_scenario
-from upwash.lab.steps import Asked, SteppedMission
+from upwash.lab.steps import PolicyQuestion, SteppedMission
 from upwash.support.loading import extra
 
 with extra("gymnasium"):
@@ -51,7 +51,7 @@ class UpwashEnv(gymnasium.Env[Any, Any]):
         self.observation_space = gymnasium.spaces.Box(-_MOST, _MOST, shape, np.float32)
         self.action_space = gymnasium.spaces.Discrete(self._actions)
         self._mission: SteppedMission | None = None
-        self._asked: Asked | None = None
+        self._asked: PolicyQuestion | None = None
         self._rewarded_s = 0.0
 
     def reset(
@@ -84,7 +84,7 @@ class UpwashEnv(gymnasium.Env[Any, Any]):
         asked = self._mission.next()
         at_s = asked.result.mission_time_s if isinstance(asked, Run) else asked.at_s
         reward, self._rewarded_s = self._rewarded_s - at_s, at_s
-        if isinstance(asked, Asked):
+        if isinstance(asked, PolicyQuestion):
             return self._seen(asked), reward, False, False, self._told(asked)
         self.close()
         told = {"result": asked.result, "failure": asked.failure}
@@ -96,13 +96,13 @@ class UpwashEnv(gymnasium.Env[Any, Any]):
         if mission is not None:
             mission.end()
 
-    def _seen(self, asked: Asked) -> Any:
+    def _seen(self, asked: PolicyQuestion) -> Any:
         seen = np.zeros(self.observation_space.shape or (), np.float32)
         for row, numbers in enumerate(self._question.rows(asked.about, self._servers)):
             seen[row, : len(numbers)] = np.clip(numbers, -_MOST, _MOST)
         return seen
 
-    def _told(self, asked: Asked) -> dict[str, Any]:
+    def _told(self, asked: PolicyQuestion) -> dict[str, Any]:
         self._asked = asked
         possible = self._question.possible(asked.about, asked.built_in, self._servers)
         mask = np.zeros(self._actions, np.int8)

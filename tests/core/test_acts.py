@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.core.geo import Position, Waypoint, distance_m
-from upwash.core.planning.acts import Acts, Way, cheapest
+from upwash.core.planning.acts import Acts, WayAhead, cheapest
 from upwash.core.planning.legs import Leg, Pace
 
 # Two rows of 80 m, 10 m apart, with a spot each 20 m: 0 to 4 eastwards and 5 to 9 back. 4 m/s and 1 m/s²: a leg of
@@ -28,7 +28,7 @@ def acts(plan: list[Waypoint] = PLAN, **known: Any) -> Acts[str]:
 
 
 def put_off(
-    late: Acts[str], act: str, place: Position, way: Way, **limits: Any
+    late: Acts[str], act: str, place: Position, way: WayAhead, **limits: Any
 ) -> tuple[float, float] | None:
     """What the act costs where it is put off to, and at once; None where it is not put off."""
     choice = late.choice(place, way, **limits)
@@ -38,10 +38,10 @@ def put_off(
     return choice.gaps[chosen].extra_s, choice.at_once_s
 
 
-def on_leg(east_m: float, target: int) -> Way:
+def on_leg(east_m: float, target: int) -> WayAhead:
     """On the first row, at its speed: the drone would rest 8 m further."""
     here = Position(east_m, 0.0)
-    return Way(here, target, here, FIRST[-1], Position(east_m + 8.0, 0.0))
+    return WayAhead(here, target, here, FIRST[-1], Position(east_m + 8.0, 0.0))
 
 
 def leg_s(start: Position, end: Position) -> float:
@@ -76,13 +76,13 @@ def test_an_act_is_not_put_off_where_that_costs_more_or_may_not_be() -> None:
 def test_on_a_leg_beyond_the_last_spot_of_a_row_no_spot_of_it_is_rested_at() -> None:
     beyond = [Position(84.0, 0.0), Position(-4.0, 10.0)]
     plan = [Waypoint(n, spot, row_end=beyond[n > 4]) for n, spot in enumerate(SPOTS)]
-    way = Way(Position(32.0, 0.0), 2, Position(32.0, 0.0), beyond[0], Position(40.0, 0.0))
+    way = WayAhead(Position(32.0, 0.0), 2, Position(32.0, 0.0), beyond[0], Position(40.0, 0.0))
     assert acts(plan).choice(SPOTS[1], way).gaps[0].number >= 4
 
 
 def test_acts_at_one_place_share_the_way_there() -> None:
     late = acts(STOPS)
-    way = Way(SPOTS[4], 5, SPOTS[5])
+    way = WayAhead(SPOTS[4], 5, SPOTS[5])
     beside = Position(SPOTS[8].east_m, SPOTS[8].north_m + 30.0)
     first = put_off(late, "first", beside, way)
     second = put_off(late, "second", Position(beside.east_m + 1.0, beside.north_m), way)
@@ -93,8 +93,8 @@ def test_acts_at_one_place_share_the_way_there() -> None:
 
 def test_an_act_that_was_put_off_is_taken_where_it_costs_no_more_now() -> None:
     late = acts(STOPS)
-    assert put_off(late, "act", SPOTS[8], Way(SPOTS[4], 5, SPOTS[5])) is not None
-    there = Way(SPOTS[8], 9, SPOTS[9])
+    assert put_off(late, "act", SPOTS[8], WayAhead(SPOTS[4], 5, SPOTS[5])) is not None
+    there = WayAhead(SPOTS[8], 9, SPOTS[9])
     assert late.take(there, lambda _, choice: cheapest(choice) is None) == ["act"]
     assert late.all() == []
 
@@ -108,7 +108,7 @@ def test_the_costs_of_all_acts_are_what_the_whole_way_takes_longer(
     places: list[Position], plan: list[Waypoint]
 ) -> None:
     late = acts(plan, home_s=lambda place: leg_s(place, SPOTS[0]))
-    far = Way(away := Position(0.0, -1e4), 0, away)  # at once costs more than in each gap
+    far = WayAhead(away := Position(0.0, -1e4), 0, away)  # at once costs more than in each gap
     found = [put_off(late, str(number), place, far) for number, place in enumerate(places)]
     extra_s = [costs[0] for costs in found if costs is not None]
     assert len(extra_s) == len(places)

@@ -14,7 +14,7 @@ from tests.drone.test_resume import fly, scenario
 
 from upwash import Drone, Position
 from upwash.drone.answered_photos import AnsweredPhotos
-from upwash.drone.calls import Calls
+from upwash.drone.calls import MissionCalls
 from upwash.drone.mission import MissionThread
 from upwash.drone.pending import why_failed
 from upwash.errors import InstanceError, MissionFailed, UsageError
@@ -239,7 +239,7 @@ def test_calls_that_fail_and_are_never_asked_for_are_no_complaint_of_asyncio(
         thread, journal = MissionThread(), MemoryJournal()
         journal.begin()
         offloading: Any = SimpleNamespace(invoke=fail, several=False)
-        calls = Calls(thread, offloading, journal, waypoint=lambda: None, photos=AnsweredPhotos())
+        calls = MissionCalls(thread, offloading, journal, waypoint=lambda: None, photos=AnsweredPhotos())
         detector = make_stub(Detector, lambda *_: None)
 
         def program() -> None:

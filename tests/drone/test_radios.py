@@ -12,7 +12,7 @@ from tests.drone.test_server_session import DAEMON, FULL, READY, Field, now_s
 
 from upwash.core.operation import Operation
 from upwash.core.selection import events
-from upwash.core.selection.commands import Check, Command, Leave, Prepare, Probe, Start
+from upwash.core.selection.commands import Check, Leave, Prepare, Probe, RadioCommand, Start
 from upwash.core.selection.recovery import Probing
 from upwash.drone.radios import RadioWorker, RadioWorkers
 from upwash.drone.server_session import ServerEndpoint
@@ -64,7 +64,7 @@ class Radio(Field):
             raise NetworkError("too far")
         await super().join(network, timeout_s=timeout_s)
 
-    async def sent(self, *commands: Command, lasts_s: float = 0.0) -> list[Any]:
+    async def sent(self, *commands: RadioCommand, lasts_s: float = 0.0) -> list[Any]:
         """What was told because of the commands, and until some time after."""
         for command in commands:
             self.worker.send(command)
@@ -365,9 +365,9 @@ def test_a_probe_says_whether_all_services_run(endpoints: dict[str, str]) -> Non
 def test_a_server_has_the_radio_that_knows_it_if_that_is_free() -> None:
     class Worker:
         def __init__(self) -> None:
-            self.sent: list[Command] = []
+            self.sent: list[RadioCommand] = []
 
-        def send(self, command: Command) -> None:
+        def send(self, command: RadioCommand) -> None:
             self.sent.append(command)
 
     def leave(server: str) -> Leave:

@@ -34,7 +34,7 @@ from upwash.errors import (
 )
 from upwash.eventlog.results import RunResult, read_result
 from upwash.eventlog.schema import VehicleSaid
-from upwash.eventlog.terminal import Progress, print_result
+from upwash.eventlog.terminal import FlightProgress, print_result
 from upwash.missions.survey import survey
 from upwash.ports import DeadManAction, Program, VehicleNews
 from upwash.rpc.service import spec_of
@@ -441,7 +441,7 @@ def test_a_person_is_told_in_words(action: SafeEnd) -> None:
     config = scenario(autopilot={"on_failure": action})
     scene, _ = fly(config, happens=interrupt)
     console = Console(width=300, file=io.StringIO())
-    progress = Progress(["s1"], 4, console)
+    progress = FlightProgress(["s1"], 4, console)
     for each in scene.journal.events:
         progress.follow(each)
     print_result(scene.result, scene.journal.events, console, paced=False, servers=True)
@@ -454,7 +454,7 @@ def test_a_person_is_told_in_words(action: SafeEnd) -> None:
 def test_nothing_in_an_event_moves_the_cursor_of_a_persons_terminal() -> None:
     raw = "\x1b[2J\x9b31m\u202e\rall is well"
     console = Console(width=300, file=io.StringIO())
-    progress = Progress(["s1"], 4, console)
+    progress = FlightProgress(["s1"], 4, console)
     for each in (
         event("selected", 1.0, server="s1", before="AVL", after="CHECK", why=raw),
         event("vehicle_said", 1.0, severity=3, text=raw),

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 from tests.scenarios import scenario, server
 
-from upwash.core.selection.deadlines import Deadline
+from upwash.core.selection.deadlines import AnswerDeadline
 from upwash.drone.preparation import endpoints, make_estimates
 from upwash.drone.server_session import MOST_MOVES, ServerEndpoint, ServerSession
 from upwash.errors import (
@@ -431,8 +431,8 @@ def test_only_a_server_without_an_address_of_its_own_is_looked_up(address: str) 
     assert endpoint.services == ("detector",)
 
 
-@pytest.mark.parametrize("deadline", [Deadline(1.5, 0.99), None])
-def test_deadlines_have_services_connected_before_the_first_call(deadline: Deadline | None) -> None:
+@pytest.mark.parametrize("deadline", [AnswerDeadline(1.5, 0.99), None])
+def test_deadlines_have_services_connected_before_the_first_call(deadline: AnswerDeadline | None) -> None:
     config = scenario(server("s1", 0.0, 0.0))
     services = [msgspec.structs.replace(each, deadline=deadline) for each in config.services]
     config = msgspec.structs.replace(config, services=services)

@@ -12,7 +12,7 @@ from tests.events import event
 from upwash.eventlog.narration import Narrator
 from upwash.eventlog.notices import Notices
 from upwash.eventlog.schema import EVENTS, Event, kind_of
-from upwash.eventlog.terminal import Progress
+from upwash.eventlog.terminal import FlightProgress
 
 STARTED = event("mission_started", 0.4, policy="look-ahead", waypoints=4)
 PLACE = {"east_m": 0.0, "north_m": 0.0}
@@ -29,7 +29,7 @@ def reports(until_s: int) -> list[Event]:
 def lines(events: Iterable[Event]) -> list[str]:
     """What is printed where no terminal is, without the times."""
     output = io.StringIO()
-    with Progress(["s1"], 4, Console(file=output, width=300)) as progress:
+    with FlightProgress(["s1"], 4, Console(file=output, width=300)) as progress:
         for each in sorted(events, key=lambda each: each.t):
             progress.follow(each)
     return [line[10:].strip() for line in output.getvalue().splitlines()]
@@ -46,7 +46,7 @@ def test_every_event_can_be_told(kind: str) -> None:
 
 def test_a_line_before_the_mission_began_has_the_logs_seconds_in_brackets() -> None:
     output = io.StringIO()
-    with Progress(["s1"], 4, Console(file=output, width=300)) as progress:
+    with FlightProgress(["s1"], 4, Console(file=output, width=300)) as progress:
         for each in (
             STARTED,
             waiting(1.0, "GPS"),
@@ -80,7 +80,7 @@ def test_on_rows_a_call_is_told_at_its_own_photo_and_stops_are_told() -> None:
 def head(events: Iterable[Event]) -> str:
     """The last line of the picture that a terminal shows in the end."""
     console = Console(file=io.StringIO(), width=300, force_terminal=True, color_system=None)
-    progress = Progress(["s1"], 4, console)
+    progress = FlightProgress(["s1"], 4, console)
     for each in events:
         progress.follow(each)
     with console.capture() as captured:

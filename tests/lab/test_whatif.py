@@ -20,7 +20,7 @@ from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.schema import Event
 from upwash.lab.run import simulate
 from upwash.lab.scenario import with_policy
-from upwash.lab.whatif import Prediction, Replays, WhatIf, best_of, predicted, tune, what_if
+from upwash.lab.whatif import ReplayedTime, Replays, WhatIf, best_of, predicted, tune, what_if
 
 pytestmark = pytest.mark.virtual
 FEW = Replays(draws=6, workers=1)
@@ -39,7 +39,7 @@ def time_s(by: str, *servers: dict[str, Any], **tables: Any) -> float:
     return simulate(replace(with_policy(config, by), seed=99)).result.mission_time_s
 
 
-def of(found: WhatIf) -> dict[str, Prediction]:
+def of(found: WhatIf) -> dict[str, ReplayedTime]:
     return {one.policy: one for one in found.predictions}
 
 

@@ -13,7 +13,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.mavlink.packets import PacketReader
-from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, MavlinkLink, Patience, connect_autopilot
+from upwash.real.mavlink import (
+    DriverPatience,
+    FlightSettings,
+    MavlinkAutopilot,
+    MavlinkLink,
+    connect_autopilot,
+)
 from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.body.connection import PeerConnection
 from upwash.vehicle.body.copter import FaultKind
@@ -31,8 +37,8 @@ AGILE = VehicleSettings(
     return_altitude_m=0.0,
     armable_after_s=0.0,
 )
-AT_ONCE = FlightSettings(patience=Patience(others_s=0.0))  # knows that no other vehicle is there
-HASTY = FlightSettings(arm_again_s=0.2, progress_s=0.5, patience=Patience(others_s=0.0))
+AT_ONCE = FlightSettings(patience=DriverPatience(others_s=0.0))  # knows that no other vehicle is there
+HASTY = FlightSettings(arm_again_s=0.2, progress_s=0.5, patience=DriverPatience(others_s=0.0))
 LATE_S = 0.05
 _QUESTIONS = (
     mavlink.MAV_CMD_REQUEST_MESSAGE,

@@ -33,7 +33,7 @@ from upwash.eventlog.schema import (
     VehicleSaid,
 )
 from upwash.ports import VehicleNews
-from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, Patience, connect_autopilot
+from upwash.real.mavlink import DriverPatience, FlightSettings, MavlinkAutopilot, connect_autopilot
 from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 from upwash.sim.loop import run_virtually
@@ -53,10 +53,11 @@ FAITHFUL = VehicleSettings(
 BRISK = FlightSettings(
     arm_again_s=0.1,
     progress_s=0.4,
-    patience=Patience(answer_s=0.15, effect_s=0.5, attempts=25, others_s=0.0, quiet_after_s=2.5),
+    patience=DriverPatience(answer_s=0.15, effect_s=0.5, attempts=25, others_s=0.0, quiet_after_s=2.5),
 )
 HARD_OF_HEARING = replace(
-    HASTY, patience=Patience(answer_s=0.1, attempts=4, others_s=0.0, quiet_after_s=0.3, lost_after_s=10.0)
+    HASTY,
+    patience=DriverPatience(answer_s=0.1, attempts=4, others_s=0.0, quiet_after_s=0.3, lost_after_s=10.0),
 )
 POSITION, HEARTBEAT = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_HEARTBEAT
 Flight = Callable[[Bench, MavlinkAutopilot], Awaitable[None]]
@@ -714,7 +715,7 @@ async def test_reports_that_never_come_are_asked_for_ever_more_rarely() -> None:
 @pytest.mark.virtual
 async def test_what_arrives_late_or_twice_changes_nothing() -> None:
     sender = Scripted(lambda _: [])
-    vehicle = MavlinkVehicle(sender.open, Patience(quiet_after_s=0.3), [ARDUCOPTER])
+    vehicle = MavlinkVehicle(sender.open, DriverPatience(quiet_after_s=0.3), [ARDUCOPTER])
     await asyncio.sleep(0.1)
     for sequence, mode, then in (
         (255, 0, 0),
@@ -746,7 +747,7 @@ def test_heartbeats_go_on_after_a_defect_which_is_told(caplog: pytest.LogCapture
             return []
 
         receiver = Scripted(note)
-        vehicle = MavlinkVehicle(receiver.open, Patience(), [ARDUCOPTER])
+        vehicle = MavlinkVehicle(receiver.open, DriverPatience(), [ARDUCOPTER])
         failed, news = asyncio.Event(), list[VehicleNews]()
 
         def fail_once() -> int:

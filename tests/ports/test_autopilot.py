@@ -20,7 +20,13 @@ from upwash.errors import (
     UsageError,
 )
 from upwash.ports import Autopilot
-from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, MavlinkLink, Patience, connect_autopilot
+from upwash.real.mavlink import (
+    DriverPatience,
+    FlightSettings,
+    MavlinkAutopilot,
+    MavlinkLink,
+    connect_autopilot,
+)
 from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 from upwash.vehicle.server import VehicleServer, serve_vehicle
@@ -29,7 +35,7 @@ FRAME = LocalFrame(HOME)
 IMPATIENT = FlightSettings(
     arm_again_s=0.2,
     progress_s=0.5,
-    patience=Patience(answer_s=0.2, attempts=4, others_s=0.0, quiet_after_s=0.4, lost_after_s=1.5),
+    patience=DriverPatience(answer_s=0.2, attempts=4, others_s=0.0, quiet_after_s=0.4, lost_after_s=1.5),
 )
 
 
@@ -123,7 +129,9 @@ async def test_a_connection_on_which_nothing_comes_any_more_is_made_anew() -> No
 
     server = await asyncio.start_server(greet_and_hang, "127.0.0.1", 0)
     connection = f"tcp:127.0.0.1:{server.sockets[0].getsockname()[1]}"
-    copter = MavlinkVehicle(connection, Patience(answer_s=0.15, others_s=0.0, dead_after_s=1.5), [ARDUCOPTER])
+    copter = MavlinkVehicle(
+        connection, DriverPatience(answer_s=0.15, others_s=0.0, dead_after_s=1.5), [ARDUCOPTER]
+    )
     await copter.found(within_s=2.0)
     await copter.link_lost()
     async with asyncio.timeout(12.0):

@@ -12,10 +12,10 @@ from tests.ports.scripted import SYSTEM, Script, scripted
 
 from upwash.errors import AutopilotRefused
 from upwash.mavlink.signing import Signing
-from upwash.real.mavlink import FlightSettings, Patience
+from upwash.real.mavlink import DriverPatience, FlightSettings
 
 OTHERS_S, SIGNED_S = 2.5, 4.0
-CAUTIOUS = FlightSettings(patience=Patience(others_s=OTHERS_S, signed_s=SIGNED_S))
+CAUTIOUS = FlightSettings(patience=DriverPatience(others_s=OTHERS_S, signed_s=SIGNED_S))
 BOLD = replace(CAUTIOUS, patience=replace(CAUTIOUS.patience, others_s=0.0))
 
 

@@ -20,7 +20,7 @@ from upwash.errors import AutopilotError, AutopilotOverruled
 from upwash.eventlog.schema import ArmingDelayed, HomeMoved, LinkLost, LinkRestored, LinkTrouble, VehicleSaid
 from upwash.mavlink.px4 import EventMessage, px4_events
 from upwash.ports import VehicleNews
-from upwash.real.mavlink import MavlinkAutopilot, Patience
+from upwash.real.mavlink import DriverPatience, MavlinkAutopilot
 from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.gate import admits
 from upwash.real.mavlink.news import VehicleNewsFeed
@@ -394,7 +394,7 @@ def test_a_defect_does_not_end_a_connection_over_tcp() -> None:
 
     async def scenario() -> None:
         server = await serve_vehicle("tcp:127.0.0.1:0", COPTER)
-        vehicle = MavlinkVehicle(server.address, Patience(others_s=0.0), [ARDUCOPTER])
+        vehicle = MavlinkVehicle(server.address, DriverPatience(others_s=0.0), [ARDUCOPTER])
         try:
             heard: list[str] = []
 

@@ -7,7 +7,7 @@ import logging
 
 import pytest
 
-from upwash.real.instances.output import Output, chunks_of
+from upwash.real.instances.output import InstanceOutput, chunks_of
 from upwash.sim.loop import run_virtually
 
 
@@ -26,7 +26,7 @@ def _log(caplog: pytest.LogCaptureFixture) -> None:
 
 def test_what_is_printed_too_much_is_counted_and_told_once(caplog: pytest.LogCaptureFixture) -> None:
     clock = Clock()
-    output = Output("s", now_s=clock)
+    output = InstanceOutput("s", now_s=clock)
     output.add(b"x" * 900 + b"\n" + b"word\n" * 100_000)
     logged = len(caplog.messages)
     assert 100 < logged < 1000
@@ -42,7 +42,7 @@ def test_a_line_without_end_is_logged_in_pieces_and_the_rest_counted(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     clock = Clock()
-    output = Output("s", now_s=clock)
+    output = InstanceOutput("s", now_s=clock)
     for _ in range(2000):
         output.add(b"x" * 700)
     logged = caplog.messages[:]
@@ -57,7 +57,7 @@ def test_a_line_without_end_is_logged_in_pieces_and_the_rest_counted(
 def test_at_the_end_the_last_words_are_logged_and_what_was_left_out_is_told(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    output = Output("s", now_s=Clock())
+    output = InstanceOutput("s", now_s=Clock())
     output.add(b"a prompt: ")
     output.close()
     assert caplog.messages == ["s: a prompt:"]
@@ -67,7 +67,7 @@ def test_at_the_end_the_last_words_are_logged_and_what_was_left_out_is_told(
 
 
 def test_what_was_left_out_on_the_way_counts_too(caplog: pytest.LogCaptureFixture) -> None:
-    Output("s", now_s=Clock()).add(b"word\n", left_out=7)
+    InstanceOutput("s", now_s=Clock()).add(b"word\n", left_out=7)
     assert caplog.messages == ["s: 7 bytes left out, as it prints too much", "s: word"]
 
 
@@ -80,7 +80,7 @@ def test_a_chatty_service_is_read_as_fast_as_it_prints(
     async def passed_s() -> float:
         loop = asyncio.get_running_loop()
         prints = asyncio.StreamReader()
-        output, chunk, read_bytes = Output("s"), (printed or b"x") * 10_000, 0
+        output, chunk, read_bytes = InstanceOutput("s"), (printed or b"x") * 10_000, 0
         for _ in range(100):
             prints.feed_data(chunk)
         prints.feed_eof()
@@ -97,14 +97,14 @@ def test_a_chatty_service_is_read_as_fast_as_it_prints(
 def test_a_crash_is_explained_by_the_last_words_also_where_they_were_left_out(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    output = Output("s", now_s=Clock())
+    output = InstanceOutput("s", now_s=Clock())
     output.add(b"word\n" * 100_000 + b"KeyError: 'model'")
     assert output.explain(1) == "ended with code 1: word / word / word / word / KeyError: 'model'"
     assert "bytes left out" in caplog.messages[-1]
 
 
 def test_a_warning_of_a_service_is_a_warning_of_the_log(caplog: pytest.LogCaptureFixture) -> None:
-    Output("s").add(b"warning: no card\nno warning: fine\n")
+    InstanceOutput("s").add(b"warning: no card\nno warning: fine\n")
     assert caplog.record_tuples == [
         ("upwash.instance", logging.WARNING, "s: warning: no card"),
         ("upwash.instance", logging.INFO, "s: no warning: fine"),
@@ -112,7 +112,7 @@ def test_a_warning_of_a_service_is_a_warning_of_the_log(caplog: pytest.LogCaptur
 
 
 def test_no_control_character_of_a_service_reaches_the_log(caplog: pytest.LogCaptureFixture) -> None:
-    output = Output("s", now_s=Clock())
+    output = InstanceOutput("s", now_s=Clock())
     output.add("\x1b[2J\x1b]0;title\x07done\x85\u2028forged line\u202e\n".encode())
     (said,) = caplog.messages
     assert said.isprintable()
@@ -122,4 +122,4 @@ def test_no_control_character_of_a_service_reaches_the_log(caplog: pytest.LogCap
 
 @pytest.mark.parametrize(("code", "how"), [(-9, "killed by SIGKILL"), (-99999, "killed by signal 99999")])
 def test_a_signal_that_there_is_not_is_told_by_its_number(code: int, how: str) -> None:
-    assert Output("s").explain(code) == how
+    assert InstanceOutput("s").explain(code) == how

@@ -19,7 +19,7 @@ from upwash.errors import AutopilotError, AutopilotRefused, AutopilotTimeout
 from upwash.mavlink.px4 import EventMessage
 from upwash.ports import VehicleLimits, VehicleNews
 from upwash.real.mavlink import FlightSettings
-from upwash.real.mavlink.settings import Patience
+from upwash.real.mavlink.settings import DriverPatience
 from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.px4.settings import Px4Settings
 
@@ -185,7 +185,7 @@ SITES: dict[str, VehicleSettings | Px4Settings] = {
     "arducopter": replace(AGILE, rally=POINTS),
     "px4": Px4Settings(HOME, rally=POINTS, parameters={"RTL_RETURN_ALT": 6.0, "RTL_DESCEND_ALT": 4.0}),
 }
-SETTINGS = FlightSettings(arm_again_s=0.2, progress_s=0.5, patience=Patience(others_s=0.0))
+SETTINGS = FlightSettings(arm_again_s=0.2, progress_s=0.5, patience=DriverPatience(others_s=0.0))
 
 
 @pytest.mark.parametrize(("east_m", "end"), [(45.0, Position(40.0, 20.0)), (10.0, Position(0.0, 0.0))])

@@ -36,7 +36,7 @@ from upwash.sim.journal import MemoryJournal
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
 from upwash.sim.runtime import ModelRuntime
-from upwash.sim.vehicle import Manner
+from upwash.sim.vehicle import FlightModel
 from upwash.sim.world import DroneComputer, Joining
 from upwash.vehicle.ardupilot import airframe as arducopter
 from upwash.vehicle.ardupilot.settings import CopterMode, VehicleSettings
@@ -186,7 +186,7 @@ def test_rows_are_flown_as_simulated(firmware: Firmware, speed_m_s: float) -> No
 
 @pytest.mark.parametrize("speed_m_s", [4.0, 8.0])
 @pytest.mark.parametrize(("firmware", "manner"), [("arducopter", arducopter), ("px4", px4)])
-def test_a_hold_in_flight_is_as_simulated(firmware: Firmware, manner: Manner, speed_m_s: float) -> None:
+def test_a_hold_in_flight_is_as_simulated(firmware: Firmware, manner: FlightModel, speed_m_s: float) -> None:
     async def held() -> tuple[float, float]:
         async with driven(vehicle_of(config_of(firmware, speed_m_s)), ground_speed_m_s=speed_m_s) as (
             sky,

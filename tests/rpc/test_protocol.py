@@ -22,15 +22,15 @@ from upwash.real.instances.control import (
     Admitted,
     Answered,
     Called,
-    Failed,
     FromInstance,
+    InstanceFailed,
     Printed,
     Ready,
     ServiceEnded,
     line,
 )
 from upwash.real.instances.instance_control import InstanceControl
-from upwash.real.instances.output import Output
+from upwash.real.instances.output import InstanceOutput
 from upwash.rpc.protocol import (
     AVAILABILITY,
     HOLD,
@@ -157,7 +157,7 @@ told = st.sampled_from(
             Answered(drone="heron", method="work", queued_s=0.1, took_s=0.1),
             Called("heron"),
             ServiceEnded(1),
-            Failed("why"),
+            InstanceFailed("why"),
             Ready(":1"),
             Printed(b"words"),
         )
@@ -175,7 +175,7 @@ def test_an_instance_that_says_anything_is_heard_out_or_hung_up_on(lines: list[b
         called: list[str] = []
         control = InstanceControl(
             SPEC,
-            Output("test@s1"),
+            InstanceOutput("test@s1"),
             called=called.append,
             answered=ignored,
             reports=reports,
@@ -201,7 +201,7 @@ def test_an_instance_is_believed_only_what_can_be_so() -> None:
         answered: list[AnsweredCall] = []
         control = InstanceControl(
             SPEC,
-            Output("test@s1"),
+            InstanceOutput("test@s1"),
             called=called.append,
             answered=answered.append,
             reports=reports,

@@ -31,7 +31,7 @@ from tests.services.darknet_models import (
 from upwash.errors import ModelError
 from upwash.services.darknet.conversion import cache_folder, converted
 from upwash.services.darknet.graph import build_model
-from upwash.services.darknet.layers import Network, read_network
+from upwash.services.darknet.layers import DarknetNetwork, read_network
 from upwash.services.darknet.weights import WeightsFile
 from upwash.services.detector import SOLAR_PARK
 
@@ -288,7 +288,7 @@ def header(major: int = 0, minor: int = 2) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def network() -> Network:
+def network() -> DarknetNetwork:
     return read_network(CFG, small().encode())
 
 
@@ -303,7 +303,7 @@ def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def refused(network: Network, tmp_path: Path) -> Callable[[bytes], ModelError]:
+def refused(network: DarknetNetwork, tmp_path: Path) -> Callable[[bytes], ModelError]:
     """How a weights file of that content is refused."""
 
     def refuse(content: bytes) -> ModelError:
@@ -381,7 +381,7 @@ def test_numbers_that_nothing_can_be_computed_with_are_refused_where_they_stand(
 @settings(deadline=None, max_examples=100)
 @given(data=st.data())
 def test_damaged_weights_are_weights_or_a_model_error(
-    data: st.DataObject, content: bytes, network: Network, scratch: Path
+    data: st.DataObject, content: bytes, network: DarknetNetwork, scratch: Path
 ) -> None:
     damaged = bytearray(content)
     for _ in range(data.draw(st.integers(1, 5))):
@@ -455,7 +455,7 @@ def test_a_model_that_someone_else_converts_at_the_same_time_is_theirs(
         pass
     first.rename(first.with_name("hidden"))  # so that it is not found before the work begins
 
-    def slow(network: Network, numbers: str) -> object:
+    def slow(network: DarknetNetwork, numbers: str) -> object:
         first.with_name("hidden").rename(first)
         return build_model(network, numbers)
 

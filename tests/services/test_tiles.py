@@ -17,7 +17,7 @@ from tests.services.darknet_models import small, write_labels, write_model
 from upwash.services import Box, Detection, Detector, ModelFiles, NotAPhoto
 from upwash.services.photo import decode_photo
 from upwash.services.solar_park import TrueBox, render_photo
-from upwash.services.tiles import OVERLAP, Sighting, View, merged, tiles_of
+from upwash.services.tiles import OVERLAP, TileBox, View, merged, tiles_of
 
 lengths = st.integers(1, 3000)
 tile_sides = st.integers(32, 700)
@@ -72,7 +72,7 @@ def shared(one: View, other: View) -> View | None:
     return both if both.left_px < both.right_px and both.top_px < both.bottom_px else None
 
 
-def seen_by(view: View, objects: Sequence[Object], rng: random.Random, *, off_px: int) -> list[Sighting]:
+def seen_by(view: View, objects: Sequence[Object], rng: random.Random, *, off_px: int) -> list[TileBox]:
     """What a detector finds in a view: the part of each object there, its sides as much as `off_px` off."""
     found = []
     for label, place in objects:
@@ -83,7 +83,7 @@ def seen_by(view: View, objects: Sequence[Object], rng: random.Random, *, off_px
             side if side == border else side + rng.randint(-off_px, off_px)
             for side, border in zip(part, view, strict=True)
         )
-        found.append(Sighting(view, Box(left, top, right - left, bottom - top), rng.random(), label))
+        found.append(TileBox(view, Box(left, top, right - left, bottom - top), rng.random(), label))
     return found
 
 
@@ -111,7 +111,7 @@ def test_objects_that_borders_cut_are_found_once_each_and_whole(
         assert one.score == max(each.score for each in parts)
 
 
-def is_part(sighting: Sighting, box: Box) -> bool:
+def is_part(sighting: TileBox, box: Box) -> bool:
     left, top, right, bottom = corners(sighting.box)
     outer = corners(box)
     return outer[0] <= left and outer[1] <= top and right <= outer[2] and bottom <= outer[3]
@@ -136,7 +136,7 @@ def test_a_detector_that_is_a_pixel_off_finds_each_object_once(
 def test_two_boxes_of_one_view_stay_two() -> None:
     """What a network chose within a picture is not chosen again, as with DETR."""
     view, other = View(0, 0, 100, 100), View(50, 0, 150, 100)
-    near = [Sighting(view, Box(60, 10, 20, 20), 0.9, 0), Sighting(view, Box(62, 10, 20, 20), 0.8, 0)]
+    near = [TileBox(view, Box(60, 10, 20, 20), 0.9, 0), TileBox(view, Box(62, 10, 20, 20), 0.8, 0)]
     photo = extent([view, other])
     assert merged(near, photo) == near
     assert len(merged([*near, *(one._replace(view=other, score=0.5) for one in near)], photo)) == 2
@@ -144,10 +144,10 @@ def test_two_boxes_of_one_view_stay_two() -> None:
 
 def test_a_small_object_of_the_whole_photo_is_that_of_a_tile_which_shows_it_in_detail() -> None:
     photo, tile = View(0, 0, 1000, 1000), View(400, 400, 600, 600)
-    fine = Sighting(tile, Box(452, 451, 5, 5), 0.5, 0)
+    fine = TileBox(tile, Box(452, 451, 5, 5), 0.5, 0)
     small, large = (
-        Sighting(photo, Box(450, 450, 9, 10), 0.9, 0),
-        Sighting(photo, Box(410, 410, 100, 100), 0.9, 0),
+        TileBox(photo, Box(450, 450, 9, 10), 0.9, 0),
+        TileBox(photo, Box(410, 410, 100, 100), 0.9, 0),
     )
     assert merged([small, fine], photo) == [small._replace(box=fine.box)]
     assert merged([large, fine], photo) == [large, fine]

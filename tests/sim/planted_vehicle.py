@@ -10,7 +10,7 @@ from tests.sim.planting import Planting, plant, planted, planting
 
 from upwash.core.geo import Position
 from upwash.core.vehicle import control
-from upwash.core.vehicle.continuity import Continuity, Track
+from upwash.core.vehicle.continuity import Continuity, PositionSeries
 from upwash.core.vehicle.control import Control, ControlChange, Heartbeat, Latch, Owner
 from upwash.core.vehicle.return_place import ReturnPlace
 from upwash.core.vehicle.return_watch import ReturnWatch
@@ -67,7 +67,7 @@ def ended_safely_all_the_same() -> Planting:
 plant("an arrival counts though the position jumped", Continuity, "doubt_m", 0.0)
 
 
-plant("a doubt about the position is never over", Track, "believe", lambda *_: None)
+plant("a doubt about the position is never over", PositionSeries, "believe", lambda *_: None)
 
 
 plant("the vehicle's target is not watched", Latch, "report_target", lambda *_: None)

@@ -20,7 +20,7 @@ from upwash.eventlog.schema import EnergyUsed
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.energy import EnergyMeter, Rotors
 from upwash.sim.loop import run_virtually
-from upwash.sim.vehicle import Manner, Plain
+from upwash.sim.vehicle import FlightModel, Plain
 from upwash.vehicle.ardupilot import airframe as arducopter
 from upwash.vehicle.body.kinematics import Phase, leg
 
@@ -79,7 +79,7 @@ def test_a_phase_draws_the_integral_of_its_power(length_m: float, cruise_m_s: fl
 def metered(
     fly: Callable[[ModelAutopilot, EnergyMeter], Coroutine[Any, Any, None]],
     *,
-    manner: Manner = PLAIN,
+    manner: FlightModel = PLAIN,
     **config: float,
 ) -> EnergyUsed:
     async def run() -> EnergyUsed:
@@ -115,7 +115,7 @@ def test_a_drone_that_waits_in_the_air_hovers() -> None:
 
 
 @pytest.mark.parametrize("manner", [PLAIN, arducopter])
-def test_how_often_the_battery_is_looked_at_changes_nothing(manner: Manner) -> None:
+def test_how_often_the_battery_is_looked_at_changes_nothing(manner: FlightModel) -> None:
     looks: list[float] = []
 
     async def looking(autopilot: ModelAutopilot, meter: EnergyMeter) -> None:

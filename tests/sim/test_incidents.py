@@ -20,7 +20,7 @@ from upwash.lab.run import simulate_fleet
 from upwash.ports import VehicleNews
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.loop import run_virtually
-from upwash.sim.vehicle import Manner, Plain
+from upwash.sim.vehicle import FlightModel, Plain
 from upwash.vehicle.ardupilot import airframe as arducopter
 
 THERE = Position(100.0, 0.0, 20.0)  # 25 s away by a leg at 5 m/s, from 5 s on
@@ -34,7 +34,7 @@ class Flight:
         self,
         *incidents: FaultConfig,
         fault: Callable[[], FaultConfig | None] = lambda: None,
-        manner: Manner = PLAIN,
+        manner: FlightModel = PLAIN,
     ):
         self.commands: list[str] = []
         self.taken: list[str] = []

@@ -12,11 +12,11 @@ from tests.scenarios import scenario
 
 from upwash.core.geo import Position, Velocity, distance_m
 from upwash.lab.run import simulate
-from upwash.sim.vehicle import Manner
+from upwash.sim.vehicle import FlightModel
 from upwash.vehicle.body.kinematics import Phase, duration_s
 from upwash.vehicle.px4 import airframe
 
-MANNER: Manner = airframe
+MANNER: FlightModel = airframe
 PROFILED: dict[str, Any] = {"policy": {"name": "local-only"}, "vehicle": {"profile": "px4"}}
 
 

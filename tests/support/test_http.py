@@ -13,7 +13,7 @@ import pytest
 
 from upwash.support import http
 from upwash.support.background import beside
-from upwash.support.http import Server
+from upwash.support.http import HttpServer
 
 CLOSING = {"Connection": "close"}
 ASKED = b"GET / HTTP/1.1\r\nHost: here\r\n\r\n"
@@ -41,7 +41,7 @@ class Served:
 
     def __init__(self, listener: socket.socket, headers: dict[str, str]) -> None:
         self._listener = listener
-        self.server = Server(application, headers=headers, goodbye_s=30)
+        self.server = HttpServer(application, headers=headers, goodbye_s=30)
         self._streams: list[asyncio.StreamWriter] = []
 
     def connections(self) -> int:

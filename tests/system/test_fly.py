@@ -23,7 +23,7 @@ from tests.programs import running, stand_in, write_drone
 
 from upwash.cli.main import main
 from upwash.errors import AutopilotError
-from upwash.real.mavlink import FlightSettings, Patience
+from upwash.real.mavlink import DriverPatience, FlightSettings
 
 pytestmark = pytest.mark.system
 
@@ -45,7 +45,9 @@ def fly(drone):
 """
 
 IMPATIENT = FlightSettings(
-    ready_timeout_s=0.3, arm_again_s=0.1, patience=Patience(others_s=0.0, quiet_after_s=0.5, lost_after_s=1.0)
+    ready_timeout_s=0.3,
+    arm_again_s=0.1,
+    patience=DriverPatience(others_s=0.0, quiet_after_s=0.5, lost_after_s=1.0),
 )
 
 

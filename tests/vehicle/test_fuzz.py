@@ -15,7 +15,7 @@ from tests.vehicle.absurd import absurd_orders, every_message, garbage, orders_f
 
 from upwash.core.geo import GeoPosition
 from upwash.mavlink.px4 import Mode
-from upwash.real.mavlink import MavlinkLink, Patience
+from upwash.real.mavlink import DriverPatience, MavlinkLink
 from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 from upwash.vehicle.ardupilot.settings import VehicleSettings
@@ -155,7 +155,7 @@ async def test_a_driver_that_hears_nonsense_goes_on_and_tells_nobody_to_move() -
         FakeVehicle, local_addr=("127.0.0.1", 0)
     )
     copter = MavlinkVehicle(
-        f"udpout:127.0.0.1:{transport.get_extra_info('sockname')[1]}", Patience(), [ARDUCOPTER]
+        f"udpout:127.0.0.1:{transport.get_extra_info('sockname')[1]}", DriverPatience(), [ARDUCOPTER]
     )
     while fake.peer is None:  # noqa: ASYNC110
         await asyncio.sleep(0.01)

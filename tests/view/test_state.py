@@ -32,15 +32,15 @@ def told(events: Sequence[Event]) -> list[Fact]:
 
 def bar(*events: Event) -> tuple[str, str, str]:
     """Who has it, the tone, and what the drone does after these events."""
-    *_, last = (fact for fact in told(events) if isinstance(fact, facts.Doing))
+    *_, last = (fact for fact in told(events) if isinstance(fact, facts.DoingFact))
     return last.who, last.tone, last.words
 
 
-def calling(*events: Event) -> facts.Decision | None:
+def calling(*events: Event) -> facts.DecisionFact | None:
     """The call under way after these events."""
     known = told(events)
-    *_, last = (fact for fact in known if isinstance(fact, facts.Decision))
-    is_over = not last.words or last.number < sum(isinstance(fact, facts.Call) for fact in known)
+    *_, last = (fact for fact in known if isinstance(fact, facts.DecisionFact))
+    is_over = not last.words or last.number < sum(isinstance(fact, facts.CallFact) for fact in known)
     return None if is_over else last
 
 
@@ -95,7 +95,7 @@ def test_the_mode_is_the_last_that_is_told_and_the_gps_what_the_vehicle_reports(
     )
     stands = event("stood", 9.0, position={"east_m": 0, "north_m": 0})
     events = [*FLIES, *reports, LOITER, lands, stands]
-    states = [fact for fact in told(events) if isinstance(fact, facts.Vehicle)]
+    states = [fact for fact in told(events) if isinstance(fact, facts.VehicleFact)]
     assert [(state.at_s, state.mode) for state in states] == [
         (3.0, ""),
         (5.0, "GUIDED"),
@@ -168,6 +168,6 @@ def test_no_call_is_under_way_once_it_has_ended(events: list[Event]) -> None:
 def test_the_battery_has_the_vehicles_own_stages() -> None:
     limits = event("vehicle_limits", 2.5, low_percent=25.0, critical_percent=12.0)
     (stages,) = (
-        fact for fact in told([limits, event("vehicle_limits", 2.6)]) if isinstance(fact, facts.Stages)
+        fact for fact in told([limits, event("vehicle_limits", 2.6)]) if isinstance(fact, facts.StagesFact)
     )
     assert (stages.low_percent, stages.critical_percent) == (25.0, 12.0)

@@ -58,7 +58,7 @@ def those(kind: type[OneFact], told: Iterable[Fact]) -> list[OneFact]:
 
 
 def test_the_forecast_is_told_as_the_mission_begins(told: list[Fact], record: Record) -> None:
-    (forecast,) = those(facts.Forecast, told)
+    (forecast,) = those(facts.ForecastFact, told)
     assert forecast.ends_s == pytest.approx(record.result.mission_time_s, rel=0.02)
     assert len(forecast.reached_s) == 121
     reached_s = [call.at_s for call in record.calls]
@@ -67,7 +67,7 @@ def test_the_forecast_is_told_as_the_mission_begins(told: list[Fact], record: Re
 
 
 def test_each_call_is_told_as_the_report_tells_it(told: list[Fact], record: Record) -> None:
-    calls = those(facts.Call, told)
+    calls = those(facts.CallFact, told)
     assert [(call.waypoint, call.place, call.delay_s, call.waited_s) for call in calls] == [
         (call.waypoint, call.place, call.delay_s, call.waited_s) for call in record.result.calls
     ]
@@ -80,7 +80,7 @@ def test_each_call_is_told_as_the_report_tells_it(told: list[Fact], record: Reco
 def test_the_states_of_the_servers_are_those_of_the_report(told: list[Fact], record: Record) -> None:
     for server, stretches in record.stretches.items():
         steps = [
-            (step.at_s, step.state, step.why) for step in those(facts.Step, told) if step.server == server
+            (step.at_s, step.state, step.why) for step in those(facts.StepFact, told) if step.server == server
         ]
         begun = [
             (stretch.from_s, STATE_WORDS[stretch.state], stretch.why)
@@ -91,7 +91,7 @@ def test_the_states_of_the_servers_are_those_of_the_report(told: list[Fact], rec
 
 
 def test_the_plan_is_told_with_the_ranges_as_circles(told: list[Fact], record: Record) -> None:
-    (plan,) = those(facts.Plan, told)
+    (plan,) = those(facts.PlanFact, told)
     assert plan.waypoints_m == record.plan.waypoints_m
     area = record.plan.ranges["s1"]
     assert plan.ranges["s1"] == (area.centre.east_m, area.centre.north_m, area.radius_m)
@@ -99,8 +99,8 @@ def test_the_plan_is_told_with_the_ranges_as_circles(told: list[Fact], record: R
 
 
 def test_a_drone_that_reports_no_positions_stays_where_it_calls_until_it_sets_off(told: list[Fact]) -> None:
-    fixes = those(facts.Fix, told)
-    call = those(facts.Call, told)[5]
+    fixes = those(facts.FixFact, told)
+    call = those(facts.CallFact, told)[5]
     at_the_end = [fix for fix in fixes if fix.at_s <= call.at_s][-1]
     setting_off = next(fix for fix in fixes if fix.at_s >= call.at_s)
     assert (at_the_end.east_m, at_the_end.north_m) == (setting_off.east_m, setting_off.north_m)
@@ -116,7 +116,7 @@ def test_every_fact_comes_in_the_order_of_time(told: list[Fact]) -> None:
 
 def test_what_is_decided_is_told_with_its_estimates(told: list[Fact], log: Path) -> None:
     decided = [each for each in event_log.read(log) if isinstance(each, schema.Decided)]
-    for decision, each in zip(those(facts.Decision, told), decided, strict=True):
+    for decision, each in zip(those(facts.DecisionFact, told), decided, strict=True):
         assert f"{each.local_s:.2f} s" in decision.words[1]
         assert each.selected is None or each.why in decision.words[2]
         assert decision.doing.endswith(each.server or "computing on the drone")
@@ -132,11 +132,11 @@ def test_a_program_that_takes_a_flight_up_again_knows_no_states() -> None:
             event("mission_started", 8.0, policy="location-aware", waypoints=2, done=[0]),
         ]
     )
-    assert [(step.at_s, step.state) for step in those(facts.Step, told)] == [
+    assert [(step.at_s, step.state) for step in those(facts.StepFact, told)] == [
         (3.0, "joining"),
         (7.0, "not joined"),
     ]
-    assert [began.at_s for began in those(facts.Began, told)] == [2.0], "its time goes on"
+    assert [began.at_s for began in those(facts.BeganFact, told)] == [2.0], "its time goes on"
 
 
 def test_a_battery_is_told_where_it_is_known() -> None:
@@ -147,7 +147,7 @@ def test_a_battery_is_told_where_it_is_known() -> None:
             event("position", 5.0, **place),
         ]
     )
-    first, second = (msgspec.json.decode(msgspec.json.encode(fix)) for fix in those(facts.Fix, told))
+    first, second = (msgspec.json.decode(msgspec.json.encode(fix)) for fix in those(facts.FixFact, told))
     assert first["battery_percent"] == 91.5
     assert "battery_percent" not in second
 
@@ -164,7 +164,7 @@ def test_photos_are_numbered_and_their_boxes_told() -> None:
             event("photo", 5.0, source="/dev/video0", **photo),
         ]
     )
-    shots, (boxes, code) = those(facts.Shot, told), those(facts.Told, told)
+    shots, (boxes, code) = those(facts.ShotFact, told), those(facts.ToldFact, told)
     assert [(shot.number, shot.kept, len(shot.truth or ())) for shot in shots] == [
         (0, True, 1),
         (1, False, 1),
@@ -172,13 +172,13 @@ def test_photos_are_numbered_and_their_boxes_told() -> None:
     assert b"score" not in msgspec.json.encode(shots[0]), "the truth has none"
     assert (boxes.what, boxes.score, boxes.photo, boxes.pictured) == ("hot-spot", 0.9, 0, True)
     assert (code.what, code.box, code.pictured) == ("row 7.5", None, False)
-    assert "the battery is low" in " ".join(said.words for said in those(facts.Said, told))
+    assert "the battery is low" in " ".join(said.words for said in those(facts.SaidFact, told))
 
 
 def test_reasons_are_told_in_seconds_of_the_mission() -> None:
     step = event("selected", 5.0, server="s1", before="AVL", after="CHECK", why="fastest")
     call = event("call", 9.0, operation="detector.count", place="local", delay_s=2.0)
-    (told,) = those(facts.Call, tell([STARTED, step, call]))
+    (told,) = those(facts.CallFact, tell([STARTED, step, call]))
     assert told.words == ["Ran on the drone in 2.00 s.", "at 0:03 s1 was selected: fastest"]
 
 
@@ -211,7 +211,7 @@ def test_a_call_in_trouble_is_told_anew_with_what_it_may_take_from_when() -> Non
             course.also_local,
             course.words[0],
         )
-        for course in those(facts.Decision, told)
+        for course in those(facts.DecisionFact, told)
     ] == [
         (10.0, 10.0, 10.0, "calling s1", 2.8, False, "Runs on s1, ready since 0:02."),
         (
@@ -233,7 +233,7 @@ def test_a_call_in_trouble_is_told_anew_with_what_it_may_take_from_when() -> Non
             "Runs on the drone because s1 gave no answer.",
         ),
     ]
-    (call,) = those(facts.Call, told)
+    (call,) = those(facts.CallFact, told)
     assert [(estimate.place, estimate.call_s) for estimate in call.estimates] == [
         ("local", 10.0),
         ("s1", 0.7),
@@ -257,7 +257,7 @@ def test_a_sentence_is_told_anew_as_soon_as_it_is_known_until_when_a_server_was_
             event("blacklist_expired", 64.0, server="s1", before="BLACKLISTED", after="AVL"),
         ]
     )
-    (call,), (amended,) = those(facts.Call, told), those(facts.Amended, told)
+    (call,), (amended,) = those(facts.CallFact, told), those(facts.AmendedFact, told)
     assert call.words[0].endswith("because s1, in range, was left alone since 0:02 after no answer.")
     assert amended.number == 0
     assert amended.words[0].endswith("because s1, in range, was left alone until 1:02 after no answer.")
@@ -274,19 +274,19 @@ def going() -> list[Fact]:
 
 
 def test_a_call_that_is_answered_on_the_way_is_told_at_its_waypoint(going: list[Fact]) -> None:
-    (plan,) = those(facts.Plan, going)
-    calls = those(facts.Call, going)
+    (plan,) = those(facts.PlanFact, going)
+    calls = those(facts.CallFact, going)
     assert [call.waypoint for call in calls] == list(range(18))
     assert [(call.east_m, call.north_m) for call in calls] == plan.waypoints_m
-    assert [each.waypoint for each in those(facts.Decision, going)] == list(range(18))
+    assert [each.waypoint for each in those(facts.DecisionFact, going)] == list(range(18))
 
 
 def test_the_way_back_is_told_and_that_answers_were_open(going: list[Fact]) -> None:
-    assert [turn.waypoint for turn in those(facts.Turn, going)] == [2, 8, 14]
-    back = [doing.words for doing in those(facts.Doing, going) if "back" in doing.words]
+    assert [turn.waypoint for turn in those(facts.TurnFact, going)] == [2, 8, 14]
+    back = [doing.words for doing in those(facts.DoingFact, going) if "back" in doing.words]
     assert back == [f"flying back to waypoint {waypoint}" for waypoint in (2, 8, 14)]
-    assert [each.waypoint for each in those(facts.Going, going)] == list(range(17))
-    hidden_s = [each.hidden_s for each in those(facts.Answer, going)]
+    assert [each.waypoint for each in those(facts.GoingFact, going)] == list(range(17))
+    hidden_s = [each.hidden_s for each in those(facts.AnswerFact, going)]
     assert hidden_s == pytest.approx([*[10.0] * 17, 0.0])
 
 
@@ -307,22 +307,24 @@ def rows() -> list[Fact]:
 
 
 def test_on_rows_an_answer_is_open_from_its_photo_until_its_call_is_over(rows: list[Fact]) -> None:
-    photographed_s = {shot.waypoint: shot.at_s for shot in those(facts.Shot, rows)}
-    assert {begun.waypoint: begun.at_s for begun in those(facts.Started, rows)} == photographed_s
-    calls = those(facts.Call, rows)
+    photographed_s = {shot.waypoint: shot.at_s for shot in those(facts.ShotFact, rows)}
+    assert {begun.waypoint: begun.at_s for begun in those(facts.StartedFact, rows)} == photographed_s
+    calls = those(facts.CallFact, rows)
     assert {call.waypoint: call.at_s - call.delay_s for call in calls} == pytest.approx(photographed_s)
     assert max(call.queued_s for call in calls) > 5.0
-    hidden_s = sum(answer.hidden_s for answer in those(facts.Answer, rows))
+    hidden_s = sum(answer.hidden_s for answer in those(facts.AnswerFact, rows))
     assert hidden_s > 0.5 * sum(call.delay_s for call in calls)
 
 
 def test_on_rows_detours_and_waits_are_told_and_what_it_computes_meanwhile(rows: list[Fact]) -> None:
-    kinds = [beside.kind for beside in those(facts.Beside, rows)]
-    assert kinds.count("detour") == len({turn.at_s for turn in those(facts.Turn, rows)}) == 3
+    kinds = [beside.kind for beside in those(facts.BesideFact, rows)]
+    assert kinds.count("detour") == len({turn.at_s for turn in those(facts.TurnFact, rows)}) == 3
     assert "wait" in kinds and kinds[-1] == ""
-    assert any(doing.words == "waiting for answers" and doing.stands for doing in those(facts.Doing, rows))
-    assert not any(doing.stands for doing in those(facts.Doing, rows) if doing.words.startswith("flying"))
-    decisions = [decision for decision in those(facts.Decision, rows) if decision.words]
+    assert any(
+        doing.words == "waiting for answers" and doing.stands for doing in those(facts.DoingFact, rows)
+    )
+    assert not any(doing.stands for doing in those(facts.DoingFact, rows) if doing.words.startswith("flying"))
+    decisions = [decision for decision in those(facts.DecisionFact, rows) if decision.words]
     assert [decision.waypoint for decision in decisions] == list(range(18))
 
 
@@ -337,7 +339,7 @@ def test_while_one_of_two_calls_goes_on_it_is_the_one_under_way() -> None:
             event("call", 11.5, operation="detector.count", waypoint=1, place="s1", delay_s=0.5),
         ]
     )
-    under_way = [(each.waypoint, each.doing, each.number) for each in those(facts.Decision, told)]
+    under_way = [(each.waypoint, each.doing, each.number) for each in those(facts.DecisionFact, told)]
     assert under_way == [
         (0, "computing on the drone", 0),
         (1, "calling s1", 0),
@@ -346,16 +348,16 @@ def test_while_one_of_two_calls_goes_on_it_is_the_one_under_way() -> None:
 
 
 def test_what_the_user_is_told_late_is_of_the_photo_of_that_waypoint(going: list[Fact]) -> None:
-    numbers = [told.photo for told in those(facts.Told, going)]
-    waypoints = [those(facts.Shot, going)[number].waypoint for number in numbers if number is not None]
+    numbers = [told.photo for told in those(facts.ToldFact, going)]
+    waypoints = [those(facts.ShotFact, going)[number].waypoint for number in numbers if number is not None]
     assert waypoints == [2, 8, 14]
-    assert [told.waypoint for told in those(facts.Told, going)] == [2, 8, 14]
+    assert [told.waypoint for told in those(facts.ToldFact, going)] == [2, 8, 14]
 
 
 def test_what_the_user_is_told_is_of_the_waypoint_where_the_drone_is_and_of_the_place_that_is_named() -> None:
     there = {"east_m": 7.0, "north_m": 8.0, "altitude_m": 0.0}
     first, second = those(
-        facts.Told,
+        facts.ToldFact,
         tell(
             [
                 STARTED,

@@ -232,10 +232,10 @@ def shown_live(logs: Sequence[Path], live: Live | None, *, photos: Path | None =
 def _shown(config: DroneConfig, show: Show) -> Iterator[tuple[Watcher, ...]]:
     """What follows the events of the flight to show its course."""
     if show is Show.PROGRESS:
-        from upwash.eventlog.terminal import Progress
+        from upwash.eventlog.terminal import FlightProgress
 
         servers = [server.name for server in config.servers]
-        with Progress(servers, len(waypoints(config.mission)), _console()) as progress:
+        with FlightProgress(servers, len(waypoints(config.mission)), _console()) as progress:
             yield (progress.follow,)
     else:
         with contextlib.redirect_stdout(sys.stderr) if show is Show.JSON else contextlib.nullcontext():

@@ -15,7 +15,7 @@ from upwash.config.user import UserConfig
 from upwash.config.world import EnergyConfig, EventConfig, FaultConfig, NoiseConfig, TruthConfig
 from upwash.core.planning.order import SWEEPS
 from upwash.core.policies.names import POLICIES, is_own
-from upwash.core.selection.deadlines import Deadline
+from upwash.core.selection.deadlines import AnswerDeadline
 from upwash.core.selection.hedging import HedgeRule
 from upwash.core.selection.recovery import Probing
 from upwash.plans import FlightPlan, read_plan
@@ -435,7 +435,7 @@ class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The least time of a call on the drone, in seconds: stands in for a slower computer."""
     local_joining_slowdown: values.SharesByKey = {}
     """Simulation: the share by which calls on the drone take longer while a network is joined."""
-    deadline: Deadline | None = None
+    deadline: AnswerDeadline | None = None
     """Its calls are answered in time with a probability, also by a second server: [deadlines](calls.md#deadlines)."""
     two_answers: TwoAnswersConfig | None = None
     """Its calls have a first answer of the drone, a better one of a server: [two answers](calls.md#two-answers)."""

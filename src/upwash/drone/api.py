@@ -11,7 +11,7 @@ from upwash.config.places import ending
 from upwash.core.geo import GeoPosition, LocalFrame, Position, Waypoint
 from upwash.core.operation import Operation
 from upwash.drone.answered_photos import AnsweredPhotos
-from upwash.drone.calls import Calls
+from upwash.drone.calls import MissionCalls
 from upwash.drone.mission import MissionThread
 from upwash.drone.object_acts import ObjectAnswer
 from upwash.drone.objects import FoundObject
@@ -76,7 +76,7 @@ class Drone:
         camera: Photographer,
         payload: Payload,
         user: User,
-        calls: Calls,
+        calls: MissionCalls,
         settling: Settling,
     ) -> None:
         mission = config.mission

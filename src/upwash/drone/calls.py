@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 
 @dataclass(eq=False)
-class Calls:
+class MissionCalls:
     """Makes the mission's calls, from its thread; `waypoint` returns the drone's waypoint, None off the plan.
 
     Several may be open at the same time if they stand in line.

@@ -16,7 +16,7 @@ from upwash.config.truth import keys_of
 from upwash.core.geo import Waypoint
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.operation import Operation
-from upwash.core.selection.deadlines import MISS, Deadline, Deadlines, Delays, Prospect, prospect
+from upwash.core.selection.deadlines import MISS, AnswerDeadline, Deadlines, Delays, Prospect, prospect
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.rpc.service import Specs
@@ -29,7 +29,7 @@ class DeadlineProspect(Struct, frozen=True):
     """What can be had of an operation's deadline at the waypoint where that is least, and where it is too little."""
 
     operation: Operation
-    deadline: Deadline
+    deadline: AnswerDeadline
     least: Prospect
     where: str  # which servers are in range there, and what keeps them from more
     short_of: tuple[int, ...] = ()  # the waypoints
@@ -82,7 +82,7 @@ def require_deadlines(
 
 def _measured(
     config: DroneConfig, specs: Specs, estimates: Estimates
-) -> tuple[dict[Operation, Deadline], dict[tuple[str, Operation], list[float]]]:
+) -> tuple[dict[Operation, AnswerDeadline], dict[tuple[str, Operation], list[float]]]:
     asked = {service.name: service.deadline for service in config.services if service.deadline is not None}
     deadlines = {
         operation: asked[operation.service]
@@ -148,7 +148,11 @@ def _second(config: DroneConfig, near: Sequence[str]) -> str | None:
 
 
 def _why(
-    config: DroneConfig, near: Sequence[str], delays: Mapping[str, Delays], best: Prospect, deadline: Deadline
+    config: DroneConfig,
+    near: Sequence[str],
+    delays: Mapping[str, Delays],
+    best: Prospect,
+    deadline: AnswerDeadline,
 ) -> str:
     second = _second(config, near)
     asked = near[:1] if second is None else near[:2]

@@ -26,7 +26,7 @@ from upwash.core.vehicle.control import Control
 from upwash.drone.answered_photos import AnsweredPhotos
 from upwash.drone.answers import AnswerAction
 from upwash.drone.api import Drone, Mission, User
-from upwash.drone.calls import Calls
+from upwash.drone.calls import MissionCalls
 from upwash.drone.coming_down import Homecoming, end_safely, follow
 from upwash.drone.deadlines import require_deadlines
 from upwash.drone.home import planned_home
@@ -153,7 +153,7 @@ class Flight:
         self._watch = ReserveWatch(config, self._legs, self._homecoming)
         self._photos = AnsweredPhotos()
         self._settling = self._settles(specs, selection, objects or FlightObjects())
-        self._calls = Calls(
+        self._calls = MissionCalls(
             self._thread,
             self._offloading,
             ports.journal,

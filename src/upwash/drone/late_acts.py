@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias
 
 from upwash.core.geo import Position, Waypoint
-from upwash.core.planning.acts import Acts, LateAct, Way
+from upwash.core.planning.acts import Acts, LateAct, WayAhead
 from upwash.drone.answers import AnswerAction
 from upwash.drone.legs import Legs
 from upwash.drone.places import Place, position_of
@@ -100,13 +100,13 @@ class LateActs:
 
         return [] if way is None else self.acts.take(way, is_due)
 
-    def _way(self, onwards: Onwards) -> Way | None:
+    def _way(self, onwards: Onwards) -> WayAhead | None:
         target, ahead, end, rests = onwards
         number = self._numbers.get(target) if isinstance(target, Waypoint) else None
         vehicle = self.legs.autopilot
         if number is None:
             return None
-        return Way(vehicle.position, number, ahead, end, None if rests else vehicle.stopping_place)
+        return WayAhead(vehicle.position, number, ahead, end, None if rests else vehicle.stopping_place)
 
     def _left_s(self, place: Position, answer: Answer) -> float:
         """The seconds until the act at the place must begin, by its limit and the reserve."""

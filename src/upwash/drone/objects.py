@@ -49,7 +49,7 @@ class FoundObject:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class AnsweredObject:
     """One object of an answer: its outline, its place on the photo if that is known, and where the drone was."""
 
     key: Key
@@ -88,7 +88,7 @@ class FlightObjects:
     def __init__(self, acted_on: Sequence[FoundRecord] = (), *, last: int = 0) -> None:
         self._catalogue = Catalogue()
         self._is_joined = True  # no entries of the catalogue can be joined any more
-        self._findings: dict[Key, Finding] = {}
+        self._findings: dict[Key, AnsweredObject] = {}
         self._claimed = set[Key]()
         self._keys = itertools.count()
         self._numbers = itertools.count(last + 1)
@@ -98,7 +98,7 @@ class FlightObjects:
             if at is not None and variance_m2 is not None and apart_m is not None:
                 place = Place(at, radius_of_95(variance_m2), variance_m2, apart_m)
                 outline = Outline(0.0, 0.0, 0.0, 0.0, record.label, record.score)
-                finding = Finding((-photo, next(self._keys)), outline, place, place.position)
+                finding = AnsweredObject((-photo, next(self._keys)), outline, place, place.position)
                 self._join(-photo, [finding], None)
                 self._claimed.add(finding.key)
 
@@ -107,7 +107,7 @@ class FlightObjects:
         """The number of the object that has an act now; None between acts."""
         return self.acting.object if self.acting is not None else None
 
-    def take(self, answer: object, photo: NumberedPhoto | None, taken_at: Position) -> list[Finding]:
+    def take(self, answer: object, photo: NumberedPhoto | None, taken_at: Position) -> list[AnsweredObject]:
         """The findings of an answer to a photo, which join the objects."""
         number, geometry = (photo.number, photo.geometry) if photo else (-1, None)
         outlines = found_objects(msgspec.to_builtins(answer, enc_hook=repr)) or []
@@ -116,12 +116,14 @@ class FlightObjects:
         for outline in outlines[:_MOST_OBJECTS]:
             place = sight if isinstance(sight, Unplaced) else sight.place_of(*outline.middle_and_size)
             known = None if isinstance(place, Unplaced) else place
-            findings.append(Finding((number, next(self._keys)), outline, known, taken_at))
+            findings.append(AnsweredObject((number, next(self._keys)), outline, known, taken_at))
         corners = geometry.footprint_m() if geometry else None
         self._join(number, findings, corners)
         return findings
 
-    def claim(self, findings: Sequence[Finding], wanted: Callable[[FoundObject], object]) -> Iterator[Claim]:
+    def claim(
+        self, findings: Sequence[AnsweredObject], wanted: Callable[[FoundObject], object]
+    ) -> Iterator[Claim]:
         """Claim each object of these findings that is wanted and not claimed; without places one of them at most."""
         placed = [finding for finding in findings if finding.place and not self._is_claimed(finding.key)]
         if placed:
@@ -174,12 +176,12 @@ class FlightObjects:
             apart_m=place.apart_m if place else None,
         )
 
-    def _claim(self, finding: Finding) -> Claim:
+    def _claim(self, finding: AnsweredObject) -> Claim:
         self._claimed.add(finding.key)
         return Claim(next(self._numbers), finding.key)
 
     def _join(
-        self, photo: int, findings: Sequence[Finding], corners: Sequence[tuple[float, float]] | None
+        self, photo: int, findings: Sequence[AnsweredObject], corners: Sequence[tuple[float, float]] | None
     ) -> None:
         self._findings |= {finding.key: finding for finding in findings}
         sightings = [Sighting(each.key, each.outline.label, each.place) for each in findings if each.place]

@@ -299,7 +299,7 @@ class Offloading:
 
     def _look_at_calls(self) -> None:
         self._look_due = None
-        self.tell(steps.News())
+        self.tell(steps.Recheck())
 
     def _set_alarm(self) -> None:
         due_s = self._calls.due_s
@@ -312,7 +312,7 @@ class Offloading:
 
     def _ring(self, due_s: float) -> None:
         self._alarm = None
-        self._happens(steps.News(), max(due_s, now_s()))
+        self._happens(steps.Recheck(), max(due_s, now_s()))
 
     async def happened(self) -> None:
         """Return after the next event of the core."""
@@ -335,7 +335,7 @@ class Offloading:
                 opened.hearing.hear(opened.replies[computing], computing.operation, delay_s)
             case steps.Answer(call, source):
                 self._answer(call, self._open[call].replies[source])
-            case steps.NoAnswer(call, why):
+            case steps.LeftUnanswered(call, why):
                 self._answer(call, NoAnswer(why))
             case steps.LookAgain():
                 self._looks.again.set()
@@ -401,7 +401,7 @@ class Offloading:
     async def _end_work(self) -> None:
         await end(*(task for opened in self._open.values() for task in opened.tasks.values()))
 
-    async def _reduce(self, attempt: Attempt) -> steps.Reduced:
+    async def _reduce(self, attempt: Attempt) -> steps.RequestReduced:
         opened = self._open[attempt.call]
         request = opened.request_of(attempt)
         try:
@@ -409,9 +409,9 @@ class Offloading:
                 attempt.operation.service, opened.method, request, deadline_s=attempt.deadline_s
             )
         except NotReduced as error:
-            return steps.Reduced(attempt, len(request), is_less=False, why=str(error))
+            return steps.RequestReduced(attempt, len(request), is_less=False, why=str(error))
         opened.smaller[attempt] = smaller
-        return steps.Reduced(attempt, len(smaller), is_less=smaller is not request)
+        return steps.RequestReduced(attempt, len(smaller), is_less=smaller is not request)
 
     async def _send(self, send: steps.Send, session: ServerSession) -> CallEvent:
         attempt, opened = send.attempt, self._open[send.attempt.call]
@@ -426,7 +426,7 @@ class Offloading:
             )
             reply = opened.replies[attempt] = opened.method.decode(answer)
         except NotBegun as told:
-            return steps.NotBegun(attempt, str(told), told.queue_s)
+            return steps.TurnedAway(attempt, str(told), told.queue_s)
         except NoLease as error:
             return steps.SlotLost(attempt, str(error))
         except LinkError as error:

@@ -34,9 +34,9 @@ from upwash.core.policies.policy import (
     Situation,
     Wait,
 )
-from upwash.drone.policy_program import KINDS, Answer, Ask, Failed, Made, Make, Returned
+from upwash.drone.policy_program import KINDS, Answer, Ask, Make, PolicyFailed, PolicyMade, Returned
 from upwash.errors import UsageError
-from upwash.support.apart import Apart, Crashed, NoAnswer
+from upwash.support.apart import Apart, Crashed, TookTooLong
 from upwash.support.background import now_s
 from upwash.support.text import counted
 
@@ -149,17 +149,17 @@ class OwnPolicy:
         self._ended = self._ended or PolicyDefect(f"policy {self.name} was asked after its end")
         self._put_back()
 
-    def _made(self, make: Make) -> Made:
+    def _made(self, make: Make) -> PolicyMade:
         why = f"policy {self.name} cannot be made"
         try:
             made = self._told(make, within_s=_MADE_WITHIN_S)
-        except NoAnswer:
+        except TookTooLong:
             raise UsageError(f"policy {self.name} was not made within {_MADE_WITHIN_S:g} s") from None
         except Crashed as error:
             raise UsageError(f"{why}: it {error}") from error
         except _Raised as error:
             raise UsageError(str(error)) from error.__cause__
-        if not isinstance(made, Made):
+        if not isinstance(made, PolicyMade):
             raise UsageError(why)
         return made
 
@@ -173,9 +173,9 @@ class OwnPolicy:
         try:
             question = Ask(method, msgspec.Raw(_encoded(about)))
             return _value(self._told(question, within_s=self._left_s))
-        except (NoAnswer, Crashed) as error:
+        except (TookTooLong, Crashed) as error:
             what = str(error)
-            if isinstance(error, NoAnswer):
+            if isinstance(error, TookTooLong):
                 slow = self._left_s < ANSWERS_WITHIN_S
                 share = f", as answers may take {_SHARE:.0%} of the time" if slow else ""
                 what = f"did not answer within {self._left_s:.2g} s{share}"
@@ -198,7 +198,7 @@ class OwnPolicy:
 
     def _told(self, question: Make | Ask, *, within_s: float) -> Answer:
         told = _ANSWERS.decode(self._process.ask(_encoded(question), within_s=within_s))
-        if isinstance(told, Failed):
+        if isinstance(told, PolicyFailed):
             raise _Raised(told.why) from _Raised(f"in the process of the policy:\n{told.trace}")
         return told
 

@@ -48,7 +48,7 @@ class Ask(Struct, frozen=True, tag=True):
     about: msgspec.Raw
 
 
-class Made(Struct, frozen=True, tag=True):
+class PolicyMade(Struct, frozen=True, tag=True):
     """The methods that the policy has, of those that it may have, and its horizon."""
 
     methods: Sequence[str]
@@ -63,7 +63,7 @@ class Returned(Struct, frozen=True, tag=True):
     value: msgspec.Raw = msgspec.Raw()
 
 
-class Failed(Struct, frozen=True, tag=True):
+class PolicyFailed(Struct, frozen=True, tag=True):
     """What the user's code raised, or why there is no policy; `trace` is for the log."""
 
     why: str
@@ -71,7 +71,7 @@ class Failed(Struct, frozen=True, tag=True):
 
 
 Question = Make | Ask
-Answer = Made | Returned | Failed
+Answer = PolicyMade | Returned | PolicyFailed
 
 
 KINDS: Mapping[str, type] = {
@@ -154,13 +154,15 @@ class _Program:
         except BaseException as error:  # noqa: BLE001 - whatever the code of the user raises
             why = message_of(error) if isinstance(error, UsageError) else worded(error)
             trace = "".join(traceback.format_exception(error))
-            return _encoded(Failed(why[:_LONGEST_TEXT], trace[-_LONGEST_TEXT:]))
+            return _encoded(PolicyFailed(why[:_LONGEST_TEXT], trace[-_LONGEST_TEXT:]))
 
     def _told(self, question: Question) -> Answer:
         if isinstance(question, Make):
             self._policy = None
             self._policy, horizon = _made(question)
-            return Made([name for name in _ABOUT if getattr(self._policy, name, None) is not None], horizon)
+            return PolicyMade(
+                [name for name in _ABOUT if getattr(self._policy, name, None) is not None], horizon
+            )
         about = _ABOUT[question.method].decode(question.about)
         if isinstance(about, _SentSituation):
             about = _situation(about)

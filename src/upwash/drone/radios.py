@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, NoReturn, TypeVar
 
 from upwash.core.selection import events
-from upwash.core.selection.commands import Check, Command, Leave, Prepare, Probe, Start
+from upwash.core.selection.commands import Check, Leave, Prepare, Probe, RadioCommand, Start
 from upwash.core.selection.events import SelectionEvent
 from upwash.drone.server_session import ServerEndpoint, ServerSession
 from upwash.errors import UNREACHED, LinkError, NetworkError, ServerFull, ServicePaused
@@ -40,7 +40,7 @@ class RadioWorker:
     told: Callable[[], Coroutine[Any, Any, None]]
     session: ServerSession | None = field(default=None, init=False)
     cut: events.RemoteCallCut | None = field(default=None, init=False)
-    _commands: asyncio.Queue[Command] = field(default_factory=asyncio.Queue, init=False)
+    _commands: asyncio.Queue[RadioCommand] = field(default_factory=asyncio.Queue, init=False)
     _tasks: asyncio.TaskGroup = field(init=False)  # of `run`: the worker fails with any of them
     _exchange: asyncio.Task[None] | None = field(default=None, init=False)  # what the session is busy with
     _message: asyncio.Task[None] | None = field(default=None, init=False)  # for a peer of the server
@@ -52,7 +52,7 @@ class RadioWorker:
             return None
         return self.session.round_trip_s
 
-    def send(self, command: Command) -> None:
+    def send(self, command: RadioCommand) -> None:
         """Queue the command behind the earlier ones."""
         self._commands.put_nowait(command)
 
@@ -71,7 +71,7 @@ class RadioWorker:
                     self._commands.task_done()
         raise AssertionError("it carries them out for ever")
 
-    async def _follow(self, command: Command) -> None:
+    async def _follow(self, command: RadioCommand) -> None:
         match command:
             case Check(server):
                 await self._pause()
@@ -240,7 +240,7 @@ class RadioWorkers:
         """The worker that is at the server, or was the last one there."""
         return self._worker_of[server]
 
-    def send(self, command: Command) -> None:
+    def send(self, command: RadioCommand) -> None:
         """Gives the command to the worker that is at the command's server.
 
         If none is there, a free worker gets it: if possible the last one there, which first completes its leaving.

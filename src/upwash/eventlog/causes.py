@@ -26,7 +26,7 @@ _RAISED = {
 
 
 @dataclass(slots=True, eq=False)
-class Stay:
+class StateSpell:
     """The time of a server in one state, in seconds of the log, and why it began.
 
     `until_s` is None while it lasts.
@@ -47,7 +47,7 @@ class Standing:
     queued for a slot. None where nothing is known.
     """
 
-    stay: Stay
+    stay: StateSpell
     beyond_m: float
     mean_s: float | None = None
     local_s: float | None = None
@@ -74,7 +74,7 @@ class Considered:
         return self.servers[0] if self.decided.selected is not None else None
 
     @property
-    def left_alone(self) -> Iterator[Stay]:
+    def left_alone(self) -> Iterator[StateSpell]:
         """The stays of the blacklisted servers."""
         return (server.stay for server in self.servers if server.stay.state is State.BLACKLISTED)
 
@@ -108,7 +108,7 @@ class Standings:
         self._policy = ""
         self._planned = False
         self._areas: dict[str, Reach] = {}
-        self._stays: dict[str, Stay] = {}
+        self._stays: dict[str, StateSpell] = {}
         self._means_s: dict[str, tuple[float | None, float | None]] = {}  # there, and on the drone
         self._full: dict[str, schema.NoSlot] = {}
 
@@ -118,20 +118,20 @@ class Standings:
             case schema.Planned(ranges=ranges, measured=measured):
                 self._planned = True
                 self._areas = {**dict.fromkeys(measured, Measured()), **ranges}
-                self._stays = {server: Stay(server, State.AVL, event.t) for server in self._areas}
+                self._stays = {server: StateSpell(server, State.AVL, event.t) for server in self._areas}
             case schema.MissionStarted(policy=policy):
                 self._policy = policy
             case schema.LogResumed():  # a program that starts again knows no server's state
                 for server in self._stays:
-                    self._enter(Stay(server, State.AVL, event.t, "taken up again"))
+                    self._enter(StateSpell(server, State.AVL, event.t, "taken up again"))
             case schema.ServerStep(server=server, after=after, why=why):
                 local_s = event.local_mean_call_s
                 self._means_s |= {name: (mean_s, local_s) for name, mean_s in event.mean_call_s.items()}
-                self._enter(Stay(server, after, event.t, why))
+                self._enter(StateSpell(server, after, event.t, why))
             case schema.NoSlot(server=server):
                 self._full[server] = event
 
-    def _enter(self, stay: Stay) -> None:
+    def _enter(self, stay: StateSpell) -> None:
         if (before := self._stays.get(stay.server)) is not None:
             before.until_s = stay.from_s
         self._stays[stay.server] = stay
@@ -148,7 +148,7 @@ class Standings:
         return Considered(decided, standings, self._policy, self._planned, began_s)
 
     def _standing(self, server: str, decided: schema.Decided) -> Standing:
-        stay = self._stays.setdefault(server, Stay(server, decided.state or State.AVL, decided.t))
+        stay = self._stays.setdefault(server, StateSpell(server, decided.state or State.AVL, decided.t))
         full = self._full.get(server)
         waiting = full.waiting if full is not None and decided.t - full.t < _REMEMBERED_S else None
         mean_s, local_s = self._means_s.get(server, (None, None))

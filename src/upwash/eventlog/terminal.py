@@ -117,7 +117,7 @@ def marks_of(servers: Iterable[str]) -> dict[str, str]:
     return {ON_DRONE: "●", **dict(zip(servers, itertools.cycle("■▲◆▼★"), strict=False))}
 
 
-class Progress(LiveDisplay):
+class FlightProgress(LiveDisplay):
     """Follows the events of a flight: a live display on a terminal, a line per event elsewhere."""
 
     def __init__(self, servers: Iterable[str], waypoints: int, console: Console) -> None:

@@ -25,7 +25,7 @@ from upwash.sim.world import ServerComputer
 from upwash.support.background import end, start
 
 
-class Software:
+class FieldSoftware:
     """What runs on drones and servers: the services, and objects of them if they really compute."""
 
     def __init__(self, services: Mapping[str, LoadedService], *, computing: bool) -> None:
@@ -60,7 +60,7 @@ def daemon_address(server: str) -> str:
 
 @contextlib.asynccontextmanager
 async def serving(
-    config: DroneConfig, software: Software, *, seen: list[Observation] | None
+    config: DroneConfig, software: FieldSoftware, *, seen: list[Observation] | None
 ) -> AsyncIterator[Switchboard]:
     """Runs the configured servers; drones reach them through the switchboard.
 
@@ -111,7 +111,7 @@ async def serving(
         yield board
 
 
-def _offer(truth: ServerTruth, software: Software) -> ServerOffer:
+def _offer(truth: ServerTruth, software: FieldSoftware) -> ServerOffer:
     return ServerOffer(
         frozenset(truth.images),
         truth.slots,

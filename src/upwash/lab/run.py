@@ -36,7 +36,7 @@ from upwash.errors import MissionFailed, UpwashError, UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.results import RunResult, read_result
-from upwash.lab.field import Software, daemon_address, serving
+from upwash.lab.field import FieldSoftware, daemon_address, serving
 from upwash.lab.observer import Observation, ObservedJournal, RangeInterval, drone_observer, observe_ranges
 from upwash.lab.speed import with_speed
 from upwash.missions.bundled import load_services
@@ -55,7 +55,7 @@ from upwash.sim.runtime import ModelRuntime
 from upwash.sim.supplies import ModelComputer
 from upwash.sim.tracked import TrackedAutopilot
 from upwash.sim.turns import sleeps_reported
-from upwash.sim.vehicle import Manner, Plain
+from upwash.sim.vehicle import FlightModel, Plain
 from upwash.sim.world import DroneComputer, JoinedSlowly, Joining, ModelRadio
 from upwash.support.background import beside
 from upwash.support.heat import Heat, Surroundings
@@ -196,7 +196,7 @@ async def _fly(drones: Sequence[_Drone], *, computing: bool, seen: list[Observat
     for drone in drones:
         drone.journal.begin()
     first = drones[0].config
-    software = Software(load_services(first.services), computing=computing)
+    software = FieldSoftware(load_services(first.services), computing=computing)
     async with serving(first, software, seen=seen) as switchboard:
         flights = [_fly_one(drone, software, switchboard, seen) for drone in drones]
         longest_s = _LONGEST_S + max(map(_stops_s, drones))
@@ -218,7 +218,7 @@ def _stops_s(drone: _Drone) -> float:
 
 
 async def _fly_one(
-    drone: _Drone, software: Software, switchboard: Switchboard, seen: list[Observation] | None
+    drone: _Drone, software: FieldSoftware, switchboard: Switchboard, seen: list[Observation] | None
 ) -> _End:
     config, presence, journal = drone.config, drone.presence, drone.journal
     if presence.departs_s:
@@ -278,7 +278,7 @@ def _ports(
     drone: _Drone,
     autopilot: ModelAutopilot,
     radios: tuple[list[Network], Dialer],
-    software: Software,
+    software: FieldSoftware,
     observe: Observe,
 ) -> Ports:
     config, journal = drone.config, drone.journal
@@ -402,7 +402,7 @@ def _camera(config: DroneConfig, chance: Chance) -> Camera:
     )
 
 
-def _manner(vehicle: VehicleConfig) -> Manner:
+def _manner(vehicle: VehicleConfig) -> FlightModel:
     match vehicle.profile:
         case "arducopter":
             return arducopter

@@ -18,7 +18,7 @@ from upwash.sim.loop import end_run
 from upwash.support.background import now_s, only_logged, thread
 
 
-class Asked(NamedTuple):
+class PolicyQuestion(NamedTuple):
     """A question, the answer of the scenario's policy, and the virtual time."""
 
     about: Any
@@ -30,20 +30,20 @@ class SteppedMission:
     """The scenario's mission, whose policy has one method that is answered from outside; `end` it."""
 
     def __init__(self, config: DroneConfig, method: str) -> None:
-        self._handed: SimpleQueue[Asked | Run | BaseException] = SimpleQueue()
+        self._handed: SimpleQueue[PolicyQuestion | Run | BaseException] = SimpleQueue()
         self._answers: SimpleQueue[Any] = SimpleQueue()
         self._is_over = False
         policy = _Asking(policy_of(config.policy), method, self._ask)
         self._thread = thread(lambda: self._fly(config, policy), name="mission in steps", failed=only_logged)
         self._thread.start()
 
-    def next(self) -> Asked | Run:
+    def next(self) -> PolicyQuestion | Run:
         """The next question, or the flown mission, after the answer to the question before; raises its error.
 
         The thread is over where no question is left.
         """
         handed = self._handed.get()
-        if not isinstance(handed, Asked):
+        if not isinstance(handed, PolicyQuestion):
             self._thread.join()
         if isinstance(handed, BaseException):
             raise handed
@@ -68,7 +68,7 @@ class SteppedMission:
     def _ask(self, about: Any, built_in: Any) -> Any:
         answer = None
         if not self._is_over:
-            self._handed.put(Asked(about, built_in, now_s()))
+            self._handed.put(PolicyQuestion(about, built_in, now_s()))
             answer = self._answers.get()
         if self._is_over:
             end_run(RuntimeError("the mission is not wanted any more"))

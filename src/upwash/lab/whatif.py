@@ -36,7 +36,7 @@ _SETTINGS: tuple[tuple[str, object], ...] = (
 
 
 @dataclass(frozen=True, slots=True)
-class Prediction:
+class ReplayedTime:
     """The time (s) that the mission would have taken; it lies within `low_s` and `high_s` with 95 % probability."""
 
     policy: str
@@ -57,7 +57,7 @@ class WhatIf:
     flown_s: float
     calls: int
     remote_calls: int
-    predictions: Sequence[Prediction]
+    predictions: Sequence[ReplayedTime]
     refused: dict[str, str]
     notes: Sequence[str]
 
@@ -206,7 +206,7 @@ def _replayed_s(replay: _Replay) -> float | None:
     return run.result.mission_time_s if run.result.completed else None
 
 
-def predicted(policy: str, logs: Sequence[float], doubt: float) -> Prediction:
+def predicted(policy: str, logs: Sequence[float], doubt: float) -> ReplayedTime:
     """The prediction by the logarithms of replayed times; `doubt` is the relative deviation of the model itself.
 
     The interval is that of one flight more, and as wide as the replays at least.
@@ -215,7 +215,7 @@ def predicted(policy: str, logs: Sequence[float], doubt: float) -> Prediction:
     deviation = math.sqrt(stdev(logs) ** 2 * (1 + 1 / len(logs)) + doubt**2)
     margin = student_quantile(len(logs) - 1) * deviation
     low, high = min(mean - margin, *logs), max(mean + margin, *logs)
-    return Prediction(policy, math.exp(mean), math.exp(low), math.exp(high))
+    return ReplayedTime(policy, math.exp(mean), math.exp(low), math.exp(high))
 
 
 def _unknown(flown: FlownMission) -> Iterator[str]:
@@ -231,7 +231,7 @@ def _unknown(flown: FlownMission) -> Iterator[str]:
         yield f"{counted(count, 'call')} ended on the drone, too few to see whether its computer gets hot"
 
 
-def order_of(found: Sequence[Prediction]) -> Iterator[str]:
+def order_of(found: Sequence[ReplayedTime]) -> Iterator[str]:
     """Which policies are quicker than others for sure: their intervals do not overlap."""
     for one in found:
         slower = [other.policy for other in found if one.high_s < other.low_s]

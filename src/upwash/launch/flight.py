@@ -47,7 +47,7 @@ from upwash.real.host.computer import HostComputer, with_many_files
 from upwash.real.host.journal import FileJournal, Unwritten, Watcher, read_events
 from upwash.real.host.signals import outliving_the_terminal, stopping_politely
 from upwash.real.instances.runtime import OwnProcesses
-from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, Patience
+from upwash.real.mavlink import DriverPatience, FlightSettings, MavlinkAutopilot
 from upwash.real.trust.credentials import Credentials
 from upwash.support.background import end, only_logged, start
 from upwash.support.loading import extra
@@ -174,7 +174,7 @@ async def _autopilot(
         FlightSettings(
             arrival_distance_m=config.autopilot.arrival_distance_m,
             arrival_speed_m_s=config.autopilot.arrival_speed_m_s,
-            patience=Patience(lost_after_s=config.autopilot.link_patience_s),
+            patience=DriverPatience(lost_after_s=config.autopilot.link_patience_s),
         ),
         within_s=within_s,
         waiting=wait,

@@ -40,7 +40,7 @@ from upwash.rpc.service import spec_of
 from upwash.support.background import beside, first, in_thread, kept_up
 
 if TYPE_CHECKING:
-    from upwash.ros.node import Finding, UpwashNode
+    from upwash.ros.node import Diagnostic, UpwashNode
 
 TOPIC = "image/compressed"
 _MIRRORED = ("name", "mission", "policy", "network", "camera", "ros", "service", "server")
@@ -232,27 +232,27 @@ class _RosProgram:
     async def _diagnose(self) -> None:
         self._node.diagnose(self._findings())
 
-    def _findings(self) -> Iterator[Finding]:
-        from upwash.ros.node import Finding
+    def _findings(self) -> Iterator[Diagnostic]:
+        from upwash.ros.node import Diagnostic
 
         images, stream = self._images, self._stream
         if images is not None:
-            yield Finding(
+            yield Diagnostic(
                 "photos",
                 tuple(images.troubles()),
                 {"topic": images.name, "type": images.type, "received": images.received},
             )
         if troubles := tuple(self._whereabouts.troubles()):
-            yield Finding("position", troubles)
+            yield Diagnostic("position", troubles)
         if stream is None:
-            yield Finding(
+            yield Diagnostic(
                 "node", (self._why,) if self._why else (), {"active": False}, is_error=bool(self._why)
             )
             return
         for name in self._names:
             last = self._last.get(name)
             call = last.call if last is not None else None
-            yield Finding(
+            yield Diagnostic(
                 name,
                 (last.why,) if last is not None and last.why else (),
                 {
@@ -268,4 +268,4 @@ class _RosProgram:
         for name, state in self._node.states.items():
             why = self._steps.get(name, "")
             values = {"state": state, "round_trip_s": round_trip_s if name == server else None, "why": why}
-            yield Finding(name, (why or "it failed",) if state is State.BLACKLISTED else (), values)
+            yield Diagnostic(name, (why or "it failed",) if state is State.BLACKLISTED else (), values)

@@ -19,7 +19,7 @@ from upwash.core.admission.limits import Allowance
 from upwash.errors import UsageError
 from upwash.support.addresses import listening_at, names_this_machine
 from upwash.support.background import only_logged, thread
-from upwash.support.http import Server
+from upwash.support.http import HttpServer
 from upwash.support.text import printable
 
 _PATHS = ("/metrics", "/")
@@ -65,7 +65,7 @@ async def exposed(
     host = listen.rpartition(":")[0]
     address = f"{host}:{listener.getsockname()[1]}"
     application = _Application(registry, questions, (host, *hosts))
-    server = Server(application, headers=_HEADERS, goodbye_s=_GOODBYE_S)
+    server = HttpServer(application, headers=_HEADERS, goodbye_s=_GOODBYE_S)
 
     def serve() -> None:
         with listener:

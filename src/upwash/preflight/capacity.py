@@ -32,7 +32,7 @@ _WITHIN_S = 60.0
 _WORTH = 0.5  # of what one drone alone saves: with less, more drones are not asked for
 
 
-class Load(Struct, frozen=True, kw_only=True):
+class FleetLoad(Struct, frozen=True, kw_only=True):
     """A number of drones at once: the times of their missions, and how many of their calls ran on servers."""
 
     drones: int
@@ -48,11 +48,13 @@ class Capacity(Struct, frozen=True, kw_only=True):
 
     config: str
     local_only_s: float
-    loads: tuple[Load, ...]
+    loads: tuple[FleetLoad, ...]
     carried: int
 
 
-def capacity_of(config: DroneConfig, name: str, flown: Callable[[Load], None] = lambda _: None) -> Capacity:
+def capacity_of(
+    config: DroneConfig, name: str, flown: Callable[[FleetLoad], None] = lambda _: None
+) -> Capacity:
     """Flies the mission of a configuration of one drone; raises UsageError where nothing is offloaded."""
     if config.drones:
         raise UsageError("capacity is measured with one drone's mission, and this file has [[drone]] tables")
@@ -60,7 +62,7 @@ def capacity_of(config: DroneConfig, name: str, flown: Callable[[Load], None] = 
         raise UsageError("every call runs on the drone: name servers, and another policy than local-only")
     (alone,) = simulate_fleet([with_policy(config, LOCAL_ONLY)])
     local_only_s = _completed([alone])[0].result.mission_time_s
-    loads: list[Load] = []
+    loads: list[FleetLoad] = []
     for load in _loads(config, local_only_s):
         loads.append(load)
         flown(load)
@@ -68,9 +70,9 @@ def capacity_of(config: DroneConfig, name: str, flown: Callable[[Load], None] = 
     return Capacity(config=name, local_only_s=local_only_s, loads=tuple(loads), carried=carried)
 
 
-def _loads(config: DroneConfig, local_only_s: float) -> Iterator[Load]:
+def _loads(config: DroneConfig, local_only_s: float) -> Iterator[FleetLoad]:
     """More and more drones, while they save enough."""
-    first: Load | None = None
+    first: FleetLoad | None = None
     for drones in _NUMBERS:
         load = _load(config, drones, local_only_s)
         yield load
@@ -79,7 +81,7 @@ def _loads(config: DroneConfig, local_only_s: float) -> Iterator[Load]:
             return
 
 
-def _load(config: DroneConfig, drones: int, local_only_s: float) -> Load:
+def _load(config: DroneConfig, drones: int, local_only_s: float) -> FleetLoad:
     fleet = [
         msgspec.structs.replace(config, name=f"{config.name}-{number}", seed=config.seed + number)
         for number in range(drones)
@@ -92,7 +94,7 @@ def _load(config: DroneConfig, drones: int, local_only_s: float) -> Load:
         remote.update(run.result.totals.remote)
     lasted_s = max(begun_s + time_s for begun_s, time_s in zip(departs_s, times_s, strict=True))
     mean_s = sum(times_s) / drones
-    return Load(
+    return FleetLoad(
         drones=drones,
         mean_s=mean_s,
         worst_s=max(times_s),

@@ -14,7 +14,7 @@ _MOST_NAMED = 8  # reviewers or numbers in a sentence
 
 
 @dataclass(frozen=True, slots=True)
-class Tally:
+class ReviewTally:
     """How many of the findings were reviewed; `remarks` are sentences about several reviewers and odd entries.
 
     `words` is such as "7 of 9 reviewed, 2 rejected", and empty without reviews.
@@ -53,7 +53,7 @@ class ReviewedFindings:
         return ReviewedFindings(own, (), [self.flights[flight]])
 
     @property
-    def tally(self) -> Tally:
+    def tally(self) -> ReviewTally:
         """How much of it is reviewed."""
         reviewed = sum(each.is_reviewed for each in self.everything)
         rejected = sum(each.is_rejected for each in self.everything)
@@ -63,7 +63,7 @@ class ReviewedFindings:
         ]
         words = f"{reviewed} of {len(self.everything)} reviewed{f', {rejected} rejected' if rejected else ''}"
         is_told = remarks or any(flight.reviews.by_finding for flight in self.flights)
-        return Tally(len(self.everything), reviewed, rejected, words if is_told else "", remarks)
+        return ReviewTally(len(self.everything), reviewed, rejected, words if is_told else "", remarks)
 
 
 def reviewed(flights: Sequence[FlightFindings]) -> ReviewedFindings:

@@ -34,7 +34,7 @@ Asked = Callable[[str], Coroutine[Any, Any, tuple[Any | None, StreamAnswer]]]
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class Diagnostic:
     """One status of the diagnostics: its name, what is wrong, and values. `is_error` where nothing works."""
 
     name: str
@@ -150,13 +150,13 @@ class UpwashNode(LifecycleNode):
         if (publisher := self._detections.get(answer.service)) and not answer.why:
             self._publish(publisher, self._as_detections(message, answer.value))
 
-    def diagnose(self, findings: Iterable[Finding]) -> None:
+    def diagnose(self, findings: Iterable[Diagnostic]) -> None:
         """Publishes diagnostics, and logs troubles that are new."""
         unfit = [
             f"{count} subscriber(s) of {topic} asked for a quality of service that it does not offer"
             for topic, count in self._unfit.items()
         ]
-        statuses = [*findings, *([Finding("subscribers", unfit)] if unfit else [])]
+        statuses = [*findings, *([Diagnostic("subscribers", unfit)] if unfit else [])]
         for finding in statuses:
             words = "; ".join(finding.troubles)
             kind = "".join(letter for letter in words if not letter.isdigit())  # without counts of seconds
@@ -173,7 +173,7 @@ class UpwashNode(LifecycleNode):
         array.header.stamp = self.get_clock().now().to_msg()
         self._publish(self._diagnostics, array)
 
-    def _status(self, types: Any, finding: Finding) -> Any:
+    def _status(self, types: Any, finding: Diagnostic) -> Any:
         level = types.DiagnosticStatus.OK
         if finding.troubles:
             level = types.DiagnosticStatus.ERROR if finding.is_error else types.DiagnosticStatus.WARN

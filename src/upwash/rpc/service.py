@@ -131,7 +131,7 @@ def bounded_queue_s(stated_s: float) -> float:
 
 
 @dataclass(frozen=True)
-class Part:
+class PartBeforeSending:
     """The method of a part before sending, and the parameters of the operation that its result replaces."""
 
     method: Method
@@ -155,7 +155,7 @@ class Method:
     once: bool = False
     key_type: Any = None  # the type hint of the parameter that `profile_by` names
     patience: Patience | None = None
-    before: Part | None = None
+    before: PartBeforeSending | None = None
 
     def encode(self, args: tuple[object, ...], kwargs: Mapping[str, object]) -> tuple[str, bytes]:
         """The profile key and the request of a call with these arguments.
@@ -452,7 +452,9 @@ def _with_part(cls: type, spec: ServiceSpec, part: type) -> ServiceSpec:
     for name, method in declared.methods.items():
         if why := _why_no_part(methods.get(name), method):
             raise DeclarationError(f"{where}: {part.__name__}.{name}: {why}")
-        methods[name] = replace(methods[name], before=Part(method, tuple(method.signature.parameters)))
+        methods[name] = replace(
+            methods[name], before=PartBeforeSending(method, tuple(method.signature.parameters))
+        )
     return replace(spec, methods=MappingProxyType(methods), before_sending=part)
 
 

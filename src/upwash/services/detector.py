@@ -19,7 +19,7 @@ from upwash.services.inference import Engine, Inference, ModelFiles, open_infere
 from upwash.services.photo import Letterbox, NotAPhoto, decode_photo, photo_size, read_photo, whole_size
 from upwash.services.provider import Provider
 from upwash.services.shrink import Shrink
-from upwash.services.tiles import MOST_TILES, Sighting, View, merged, tiles_of
+from upwash.services.tiles import MOST_TILES, TileBox, View, merged, tiles_of
 from upwash.support.loading import extra
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ class Detector:
         if not 0 <= confidence <= 1:
             raise ValueError(f"confidence = {confidence}: give a number from 0 to 1")
         way = self._ways[mode]
-        sightings: Iterable[Sighting] = way.sightings(photo, confidence)
+        sightings: Iterable[TileBox] = way.sightings(photo, confidence)
         if way.tile_px is not None:
             sightings = merged(sightings, View(0, 0, *photo_size(photo, way.most_pixels)))
         across = down = 1.0
@@ -151,7 +151,7 @@ class _Way:
         tile_px = (max(1, round(width_px * scale)), max(1, round(height_px * scale)))
         return replace(self, tile_px=tile_px, whole_px=tile_px)
 
-    def sightings(self, photo: bytes, confidence: float) -> Iterator[Sighting]:
+    def sightings(self, photo: bytes, confidence: float) -> Iterator[TileBox]:
         """Boxes of the whole photo, and then of its tiles if it is large; raises NotAPhoto."""
         for view, letterbox, picture in self.looks(photo):
             seen = self.inference.find(picture, confidence=confidence)
@@ -159,7 +159,7 @@ class _Way:
                 if (box := letterbox.on_photo(corners)) is not None:
                     left_px, top_px = view.left_px + box.left_px, view.top_px + box.top_px
                     box = Box(left_px, top_px, box.width_px, box.height_px)
-                    yield Sighting(view, box, float(score), int(index))
+                    yield TileBox(view, box, float(score), int(index))
 
     def looks(self, photo: bytes) -> Iterator[tuple[View, Letterbox, Floats]]:
         """Pictures of the whole photo and of its tiles, and what they show."""

@@ -26,7 +26,7 @@ _HIGHEST_SCORE = 1.001  # 16-bit floats round
 _FEW = 0.05  # of the boxes, which a network may leave with corners in the wrong order
 
 
-class Rows(NamedTuple):
+class ScoredBoxes(NamedTuple):
     """The boxes of a picture: n x 4, with the scores of all classes, n x k, or of the class that each has, n x 1."""
 
     boxes: Floats
@@ -37,60 +37,60 @@ class Rows(NamedTuple):
 # --- decoders: from outputs in the order of their layout to rows -------------------------------------------------
 
 Decoder = Callable[
-    [Sequence["Floats"], float], Rows
+    [Sequence["Floats"], float], ScoredBoxes
 ]  # rows with no more objectness than this may be left out
 
 
-def scored(outputs: Sequence[Floats], least: float) -> Rows:
+def scored(outputs: Sequence[Floats], least: float) -> ScoredBoxes:
     """A row has a box and the scores of all classes."""
-    return Rows(outputs[0][0, :, :4], outputs[0][0, :, 4:])
+    return ScoredBoxes(outputs[0][0, :, :4], outputs[0][0, :, 4:])
 
 
-def in_columns(outputs: Sequence[Floats], least: float) -> Rows:
+def in_columns(outputs: Sequence[Floats], least: float) -> ScoredBoxes:
     """The same in columns."""
-    return Rows(outputs[0][0, :4].T, outputs[0][0, 4:].T)
+    return ScoredBoxes(outputs[0][0, :4].T, outputs[0][0, 4:].T)
 
 
-def with_objectness(outputs: Sequence[Floats], least: float) -> Rows:
+def with_objectness(outputs: Sequence[Floats], least: float) -> ScoredBoxes:
     """The score of a class is a share of the objectness."""
     (rows,) = outputs[0]
     rows = rows[rows[:, 4] > least]
-    return Rows(rows[:, :4], rows[:, 5:] * rows[:, 4:5])
+    return ScoredBoxes(rows[:, :4], rows[:, 5:] * rows[:, 4:5])
 
 
-def objectness_alone(outputs: Sequence[Floats], least: float) -> Rows:
+def objectness_alone(outputs: Sequence[Floats], least: float) -> ScoredBoxes:
     """The score of the only class is the objectness."""
-    return Rows(outputs[0][0, :, :4], outputs[0][0, :, 4:5])
+    return ScoredBoxes(outputs[0][0, :, :4], outputs[0][0, :, 4:5])
 
 
-def chosen(outputs: Sequence[Floats], least: float) -> Rows:
+def chosen(outputs: Sequence[Floats], least: float) -> ScoredBoxes:
     """A row has a box, a score and a class."""
-    return Rows(outputs[0][0, :, :4], outputs[0][0, :, 4:5], outputs[0][0, :, 5])
+    return ScoredBoxes(outputs[0][0, :, :4], outputs[0][0, :, 4:5], outputs[0][0, :, 5])
 
 
-def of_all_pictures(outputs: Sequence[Floats], least: float) -> Rows:
+def of_all_pictures(outputs: Sequence[Floats], least: float) -> ScoredBoxes:
     """A row has the picture's number, a box, then class and score (YOLOv7) or score and class (YOLO-NAS)."""
     (rows,) = outputs
     score, cls = (6, 5) if are_classes(rows[:, 5]) else (5, 6)
-    return Rows(rows[:, 1:5], rows[:, score : score + 1], rows[:, cls])
+    return ScoredBoxes(rows[:, 1:5], rows[:, score : score + 1], rows[:, cls])
 
 
-def labels_apart(outputs: Sequence[Floats], least: float) -> Rows:
+def labels_apart(outputs: Sequence[Floats], least: float) -> ScoredBoxes:
     """Boxes, scores and classes are outputs of their own."""
-    return Rows(outputs[0][0], outputs[1][0, :, None], outputs[2][0])
+    return ScoredBoxes(outputs[0][0], outputs[1][0, :, None], outputs[2][0])
 
 
-def scores_apart(outputs: Sequence[Floats], least: float) -> Rows:
+def scores_apart(outputs: Sequence[Floats], least: float) -> ScoredBoxes:
     """Boxes and the scores of all classes are outputs of their own."""
-    return Rows(outputs[0][0], outputs[1][0])
+    return ScoredBoxes(outputs[0][0], outputs[1][0])
 
 
-def logits_apart(outputs: Sequence[Floats], least: float) -> Rows:
+def logits_apart(outputs: Sequence[Floats], least: float) -> ScoredBoxes:
     """The same before a sigmoid."""
-    return Rows(outputs[0][0], sigmoid(outputs[1][0]))
+    return ScoredBoxes(outputs[0][0], sigmoid(outputs[1][0]))
 
 
-def logits_with_none_apart(outputs: Sequence[Floats], least: float) -> Rows:
+def logits_with_none_apart(outputs: Sequence[Floats], least: float) -> ScoredBoxes:
     """The same before a softmax, or after it; the last class is "no object"."""
     import numpy as np
 
@@ -98,7 +98,7 @@ def logits_with_none_apart(outputs: Sequence[Floats], least: float) -> Rows:
     if not are_scores(scores):
         scores = np.exp(scores - scores.max(axis=1, keepdims=True))
         scores /= scores.sum(axis=1, keepdims=True)
-    return Rows(outputs[0][0], scores[:, :-1])
+    return ScoredBoxes(outputs[0][0], scores[:, :-1])
 
 
 # --- what the values have to be, where shapes alone do not tell layouts apart -------------------------------------

@@ -39,7 +39,7 @@ class View(NamedTuple):
     bottom_px: int
 
 
-class Sighting(NamedTuple):
+class TileBox(NamedTuple):
     """A box in pixels of the photo, with the view that shows it."""
 
     view: View
@@ -65,7 +65,7 @@ def _starts(length_px: int, tile_px: int) -> list[int]:
     return [number * room_px // max(1, steps) for number in range(steps + 1)]
 
 
-def merged(sightings: Iterable[Sighting], photo: View) -> list[Sighting]:
+def merged(sightings: Iterable[TileBox], photo: View) -> list[TileBox]:
     """One sighting of each object, best first, at most MOST_CANDIDATES of the best; `photo` is the whole."""
     import numpy as np
 
@@ -117,10 +117,10 @@ def _area(low: Floats, high: Floats) -> Floats:
     return area
 
 
-def _one_of(group: Sequence[Sighting], photo: View) -> Sighting:
+def _one_of(group: Sequence[TileBox], photo: View) -> TileBox:
     """The best score, and each side from the first view of those that show it farthest from a border of theirs."""
 
-    def how_well(sighting: Sighting, side: int) -> float:
+    def how_well(sighting: TileBox, side: int) -> float:
         view = sighting.view
         length_px = view[side % 2 + 2] - view[side % 2]
         inside = abs(_corners(sighting.box)[side] - view[side]) / length_px

@@ -23,7 +23,7 @@ from upwash.sim.energy import EnergyMeter
 from upwash.sim.incidents import Incidents, ModelBattery
 from upwash.sim.link import Observe, unobserved
 from upwash.sim.over_time import OverTime
-from upwash.sim.vehicle import GUIDED, LAND, RETURN, Manner, ModelVehicle
+from upwash.sim.vehicle import GUIDED, LAND, RETURN, FlightModel, ModelVehicle
 from upwash.sim.vehicle_link import ModelVehicleLink
 from upwash.support.background import first
 from upwash.vehicle.ardupilot.airframe import TURN_DEG_S
@@ -51,7 +51,7 @@ class ModelAutopilot:
         start: Position,
         *,
         ground_speed_m_s: float,
-        manner: Manner,
+        manner: FlightModel,
         frame: LocalFrame | None = None,
         stretch: Callable[[], float] = lambda: 1.0,
         fault: Callable[[], FaultConfig | None] = lambda: None,

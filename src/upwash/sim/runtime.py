@@ -32,7 +32,7 @@ _FIRST_PORT = 40_000
 _NEGLIGIBLE_S = 1e-9  # timers may run early by this
 
 
-class Computer(Protocol):
+class ModelledComputer(Protocol):
     """The computer of instances: the times of their starts and calls."""
 
     async def start(self, spec: InstanceSpec) -> None:
@@ -65,7 +65,7 @@ class ModelRuntime:
     def __init__(
         self,
         services: Mapping[str, ServiceSpec],
-        computer: Computer,
+        computer: ModelledComputer,
         switchboard: Switchboard | FaultyServer,
         *,
         objects: Mapping[str, object] = MappingProxyType({}),

@@ -31,7 +31,7 @@ _GRAVITY_M_S2 = 9.81
 _Way: TypeAlias = Callable[[Position], tuple[Phase, ...]]
 
 
-class Manner(Protocol):
+class FlightModel(Protocol):
     """How a vehicle flies; `vehicle.arducopter` is one."""
 
     @property
@@ -68,7 +68,7 @@ class ModelVehicle:
     def __init__(
         self,
         ground: Position,
-        manner: Manner,
+        manner: FlightModel,
         *,
         ground_speed_m_s: float,
         hovers_at: Position | None = None,

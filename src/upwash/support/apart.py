@@ -24,7 +24,7 @@ _LONGEST_ANSWER_BYTES = 65_536
 _ORPHAN_S = 60  # for an answer that no asker may wait for any more
 
 
-class NoAnswer(Exception):
+class TookTooLong(Exception):
     """Raised for a question whose answer is not there in time; the process is ended."""
 
 
@@ -63,7 +63,7 @@ class Apart:
                     raise Crashed(f"answered with {length} bytes")
                 answer = self._read(length, until_s)
             except TimeoutError:
-                raise NoAnswer from None
+                raise TookTooLong from None
             except (OSError, EOFError):
                 raise Crashed(f"ended its process{self._how()}") from None
             failing.pop_all()

@@ -24,7 +24,7 @@ _PIECE_BYTES = 2**10
 _BAD_REQUEST = b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 
 
-class Server(uvicorn.Server):
+class HttpServer(uvicorn.Server):
     """Serves an ASGI application, each answer with these headers; leaves signals to the program.
 
     Only with the header `Connection: close` an answer must be read within 10 s.

@@ -39,7 +39,7 @@ class Header(NamedTuple):
         return 2 * row * (self.height_px + 8)
 
 
-class Chunk(NamedTuple):
+class PngChunk(NamedTuple):
     """A chunk's kind, and where the chunk starts and ends."""
 
     kind: bytes
@@ -47,7 +47,7 @@ class Chunk(NamedTuple):
     end: int
 
 
-def chunks_of(png: bytes) -> Iterator[Chunk]:
+def chunks_of(png: bytes) -> Iterator[PngChunk]:
     """The chunks up to the end of the image (IEND), at most MOST_CHUNKS; fewer if the file is cut off."""
     at = len(SIGNATURE)
     for _ in range(MOST_CHUNKS):
@@ -55,7 +55,7 @@ def chunks_of(png: bytes) -> Iterator[Chunk]:
         if end > len(png):
             return
         kind = png[at + 4 : at + 8]
-        yield Chunk(kind, at, end)
+        yield PngChunk(kind, at, end)
         if kind == b"IEND":
             return
         at = end

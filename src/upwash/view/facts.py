@@ -9,13 +9,17 @@ import msgspec
 from upwash.eventlog.objects import Outline
 
 
-class Fact(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag_field="fact", tag=str.lower):
+def _kind(name: str) -> str:
+    return name.removesuffix("Fact").lower()
+
+
+class Fact(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag_field="fact", tag=_kind):
     """Something that the page shows from `at_s` on, until a later fact takes its place."""
 
     at_s: float
 
 
-class Plan(Fact, frozen=True):
+class PlanFact(Fact, frozen=True):
     """The waypoints in the order of the flight; `ranges` has [east, north, radius] of each server, in metres.
 
     `home` is its latitude and longitude, and `metres_per_degree` the lengths there, eastwards and northwards.
@@ -27,20 +31,20 @@ class Plan(Fact, frozen=True):
     metres_per_degree: tuple[float, float] | None
 
 
-class Opened(Fact, frozen=True):
+class OpenedFact(Fact, frozen=True):
     """The time of day at which the log began, in seconds since 1970; simulated logs have none."""
 
     epoch_s: float
 
 
-class Began(Fact, frozen=True):
+class BeganFact(Fact, frozen=True):
     """The mission began, from which its time is counted."""
 
     policy: str
     drone: str = ""
 
 
-class Firmware(Fact, frozen=True):
+class FirmwareFact(Fact, frozen=True):
     """Which vehicle the program flies: the firmware's name and version, and the vehicle's type."""
 
     name: str
@@ -48,7 +52,7 @@ class Firmware(Fact, frozen=True):
     version: str | None = None
 
 
-class Forecast(Fact, frozen=True):
+class ForecastFact(Fact, frozen=True):
     """When the mission was expected to be over, and at each of its last waypoints, in the mission's seconds.
 
     Where it is to `finish_by_s`, it may use lighter calls; with all of them lighter it was expected to be over after
@@ -61,14 +65,14 @@ class Forecast(Fact, frozen=True):
     finish_by_s: float | None = None
 
 
-class Home(Fact, frozen=True):
+class HomeFact(Fact, frozen=True):
     """Where the vehicle returns to."""
 
     east_m: float
     north_m: float
 
 
-class Fix(Fact, frozen=True, gc=False):
+class FixFact(Fact, frozen=True, gc=False):
     """Where the drone is; and its speed, heading, battery and link to the server in use, where those are told too.
 
     While the program brings it down, it is on the ground in `down_s`.
@@ -85,7 +89,7 @@ class Fix(Fact, frozen=True, gc=False):
     down_s: float | None = None
 
 
-class Notice(Fact, frozen=True):
+class NoticeFact(Fact, frozen=True):
     """What a person has to act on (`level` alarm) or should know (caution) from now on, under a key.
 
     Without a `cause` what held under the key is over. `action` is what a person can do. It began at `since_s`, for
@@ -101,7 +105,7 @@ class Notice(Fact, frozen=True):
     times: int = 1
 
 
-class Doing(Fact, frozen=True):
+class DoingFact(Fact, frozen=True):
     """What the drone does from now on, and how many waypoints it has reached.
 
     `who` has the vehicle, in a word that people read at a distance, with a `tone` that has a colour. It `stands` at a
@@ -115,7 +119,7 @@ class Doing(Fact, frozen=True):
     stands: bool = False
 
 
-class Vehicle(Fact, frozen=True):
+class VehicleFact(Fact, frozen=True):
     """The vehicle's own mode, whether its motors may run, and its receiver's fix, each absent if not in the log."""
 
     mode: str = ""
@@ -124,14 +128,14 @@ class Vehicle(Fact, frozen=True):
     satellites: int | None = None
 
 
-class Stages(Fact, frozen=True):
+class StagesFact(Fact, frozen=True):
     """At how much of its battery the vehicle itself calls it low or critical."""
 
     low_percent: float | None = None
     critical_percent: float | None = None
 
 
-class Step(Fact, frozen=True):
+class StepFact(Fact, frozen=True):
     """A server came into a state, in the word that people read."""
 
     server: str
@@ -148,7 +152,7 @@ class Estimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     wait_s: float = 0.0
 
 
-class Decision(Fact, frozen=True):
+class DecisionFact(Fact, frozen=True):
     """Where the call of that `number`, counted from 0, is from now on, with why, in sentences, and the estimates.
 
     The call began at `began_s`. What is `doing` is done since `from_s`, for `at most` or `about` `limit_s`; it is
@@ -168,7 +172,7 @@ class Decision(Fact, frozen=True):
     also_local: bool = False
 
 
-class Call(Fact, frozen=True):
+class CallFact(Fact, frozen=True):
     """A call ended; `words` say why it ran where it ran, and `east_m`, `north_m` where the drone made it.
 
     It was in line for `queued_s`. It took `lost_s` longer than was expected of the best place, as the `estimates`
@@ -189,33 +193,33 @@ class Call(Fact, frozen=True):
     queued_s: float = 0.0
 
 
-class Amended(Fact, frozen=True):
+class AmendedFact(Fact, frozen=True):
     """New words about an earlier call, whose `number` counts from 0: a later event told more."""
 
     number: int
     words: Sequence[str]
 
 
-class Started(Fact, frozen=True):
+class StartedFact(Fact, frozen=True):
     """The mission began a call at the waypoint without waiting; its answer is open until the call ends, or fails."""
 
     waypoint: int | None
 
 
-class Beside(Fact, frozen=True):
+class BesideFact(Fact, frozen=True):
     """What keeps the drone off its way from now on: "detour" for demands, "wait" for answers; "" once it flies on."""
 
     kind: str
 
 
-class Going(Fact, frozen=True):
+class GoingFact(Fact, frozen=True):
     """The drone goes on before the answer of the waypoint is there; `words` say why."""
 
     waypoint: int | None
     words: str
 
 
-class Turn(Fact, frozen=True):
+class TurnFact(Fact, frozen=True):
     """The drone turns back from here to the waypoint, for its answer."""
 
     waypoint: int | None
@@ -223,7 +227,7 @@ class Turn(Fact, frozen=True):
     north_m: float
 
 
-class Measured(Fact, frozen=True):
+class MeasuredFact(Fact, frozen=True):
     """A server without a range was asked something here, on this flight or before; such a share was answered."""
 
     server: str
@@ -232,14 +236,14 @@ class Measured(Fact, frozen=True):
     answered: float
 
 
-class Answer(Fact, frozen=True):
+class AnswerFact(Fact, frozen=True):
     """The mission has the answer of a waypoint, or no answer will come. The call hid `hidden_s` of its delay."""
 
     waypoint: int | None
     hidden_s: float = 0.0
 
 
-class Shot(Fact, frozen=True):
+class ShotFact(Fact, frozen=True):
     """A photo was taken; `kept` says whether it can be had, by its `number`. `truth` is what a rendered one shows.
 
     `footprint_m` has the photo's corners on the ground, east and north, clockwise from the upper left.
@@ -253,7 +257,7 @@ class Shot(Fact, frozen=True):
     footprint_m: Sequence[tuple[float, float]] | None = None
 
 
-class Told(Fact, frozen=True):
+class ToldFact(Fact, frozen=True):
     """One object in a message to the user, with its box on the photo numbered `photo`; or a message without boxes.
 
     `pictured` says whether the box can be had as a picture. `waypoint` is None before the first.
@@ -269,14 +273,14 @@ class Told(Fact, frozen=True):
     pictured: bool = False
 
 
-class Said(Fact, frozen=True):
+class SaidFact(Fact, frozen=True):
     """A line for the journal."""
 
     words: str
     tone: str
 
 
-class Ended(Fact, frozen=True):
+class EndedFact(Fact, frozen=True):
     """The mission is over."""
 
     completed: bool

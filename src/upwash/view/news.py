@@ -22,7 +22,7 @@ from upwash.report.story import Story, place_of
 from upwash.support.text import by_name
 from upwash.view import facts
 from upwash.view.facts import Fact
-from upwash.view.state import Control
+from upwash.view.state import ShownControl
 
 _ON_CALLS = (
     schema.Decided,
@@ -56,9 +56,9 @@ class News:
         self._policy = ""
         self._place: Position | None = None
         self._placed_s = 0.0
-        self._control = Control()
-        self._doing: facts.Doing | None = None
-        self._vehicle = facts.Vehicle(at_s=0.0)
+        self._control = ShownControl()
+        self._doing: facts.DoingFact | None = None
+        self._vehicle = facts.VehicleFact(at_s=0.0)
         self._course: Course | None = None
         self._left_out = self._beside = ""
         self._unfinished: list[ExplainedCall] = []  # they name servers that are still left alone
@@ -99,11 +99,11 @@ class News:
         if isinstance(event, schema.ServerStep):
             yield self._step(event.server)
         if said is not None:
-            yield facts.Said(at_s=self._now_s, words=said.text, tone=said.tone)
+            yield facts.SaidFact(at_s=self._now_s, words=said.text, tone=said.tone)
 
-    def _notice(self, notice: Notice) -> facts.Notice:
-        told = {name: getattr(notice, name) for name in facts.Notice.__struct_fields__ if name != "at_s"}
-        return facts.Notice(at_s=self._now_s, **told)
+    def _notice(self, notice: Notice) -> facts.NoticeFact:
+        told = {name: getattr(notice, name) for name in facts.NoticeFact.__struct_fields__ if name != "at_s"}
+        return facts.NoticeFact(at_s=self._now_s, **told)
 
     # --- where the drone is, and what it does -----------------------------------------------------------------
 
@@ -115,27 +115,27 @@ class News:
             yield self._fix(here, event if isinstance(event, schema.PositionReport) else None)
         if isinstance(event, schema.LimitsRead):
             if event.home is not None:
-                yield facts.Home(at_s=self._now_s, east_m=event.home.east_m, north_m=event.home.north_m)
+                yield facts.HomeFact(at_s=self._now_s, east_m=event.home.east_m, north_m=event.home.north_m)
             low, critical = event.low_percent, event.critical_percent
             if low or critical:
-                yield facts.Stages(at_s=self._now_s, low_percent=low, critical_percent=critical)
+                yield facts.StagesFact(at_s=self._now_s, low_percent=low, critical_percent=critical)
 
     def _is_news(self, here: Position) -> bool:
         return here != self._place or self._now_s - self._placed_s > _STALE_S
 
-    def _fix(self, here: Position, report: schema.PositionReport | None) -> facts.Fix:
+    def _fix(self, here: Position, report: schema.PositionReport | None) -> facts.FixFact:
         self._place, self._placed_s = here, self._now_s
         told = {} if report is None else {name: getattr(report, name) for name in _REPORTED}
-        return facts.Fix(
+        return facts.FixFact(
             at_s=self._now_s, east_m=here.east_m, north_m=here.north_m, altitude_m=here.altitude_m, **told
         )
 
     def _progress(self, event: Event) -> Iterator[Fact]:
         match event:
             case schema.LogOpened(time=time):
-                yield facts.Opened(at_s=self._now_s, epoch_s=time.timestamp())
+                yield facts.OpenedFact(at_s=self._now_s, epoch_s=time.timestamp())
             case schema.VehicleFound(firmware=firmware, type=kind, version=version):
-                yield facts.Firmware(at_s=self._now_s, name=firmware, type=kind, version=version)
+                yield facts.FirmwareFact(at_s=self._now_s, name=firmware, type=kind, version=version)
             case schema.Planned():
                 yield self._plan(event)
                 for server, known in event.measured.items():
@@ -149,7 +149,7 @@ class News:
             case schema.PlaceMeasured(server=server, place=place):
                 yield self._measured(server, place)
             case schema.Foreseen():
-                yield facts.Forecast(
+                yield facts.ForecastFact(
                     at_s=self._now_s,
                     ends_s=event.as_asked_s,
                     reached_s=event.reached_s,
@@ -158,10 +158,10 @@ class News:
                 )
             case schema.MissionCompleted() | schema.MissionEnded():
                 self.ended = True
-                yield facts.Ended(at_s=self._now_s, completed=isinstance(event, schema.MissionCompleted))
+                yield facts.EndedFact(at_s=self._now_s, completed=isinstance(event, schema.MissionCompleted))
         if self._began_s != (began_s := self.story.tally.began_s):
             self._began_s = began_s
-            yield facts.Began(at_s=self._now_s, policy=self._policy, drone=self.story.drone or "")
+            yield facts.BeganFact(at_s=self._now_s, policy=self._policy, drone=self.story.drone or "")
         self._control.take(event)
         yield from self._state(event)
 
@@ -173,7 +173,7 @@ class News:
         if now != vehicle:
             self._vehicle = replace(now, at_s=self._now_s)
             yield self._vehicle
-        doing = facts.Doing(
+        doing = facts.DoingFact(
             at_s=0.0,
             words=control.words(self._narrator.doing),
             reached=self._narrator.reached,
@@ -185,8 +185,8 @@ class News:
             self._doing = doing
             yield replace(doing, at_s=self._now_s)
 
-    def _measured(self, server: str, place: schema.MeasuredRecord) -> facts.Measured:
-        return facts.Measured(
+    def _measured(self, server: str, place: schema.MeasuredRecord) -> facts.MeasuredFact:
+        return facts.MeasuredFact(
             at_s=self._now_s,
             server=server,
             east_m=place.east_m,
@@ -194,9 +194,9 @@ class News:
             answered=place.answered / place.tried if place.tried else 0.0,
         )
 
-    def _plan(self, plan: schema.Planned) -> facts.Plan:
+    def _plan(self, plan: schema.Planned) -> facts.PlanFact:
         home = plan.home
-        return facts.Plan(
+        return facts.PlanFact(
             at_s=self._now_s,
             waypoints_m=plan.way_m,
             ranges={
@@ -209,10 +209,10 @@ class News:
 
     # --- servers and calls ------------------------------------------------------------------------------------
 
-    def _step(self, server: str) -> facts.Step:
+    def _step(self, server: str) -> facts.StepFact:
         _, state, why = self.story.steps[server][-1]
         words = STATE_WORDS[state]
-        return facts.Step(at_s=self._now_s, server=server, state=words, tone=tone_of(state), why=why)
+        return facts.StepFact(at_s=self._now_s, server=server, state=words, tone=tone_of(state), why=why)
 
     def _under_way(self, event: Event) -> Iterator[Fact]:
         """Where the open call is, or the last of several, if the event changes that."""
@@ -228,15 +228,15 @@ class News:
         if self._course is before:
             return
         if self._course is None:
-            yield facts.Decision(at_s=self._now_s, number=self.story.reasons.ended, waypoint=None)
+            yield facts.DecisionFact(at_s=self._now_s, number=self.story.reasons.ended, waypoint=None)
         else:
             yield self._decision(self._course, decisions[-1])
 
-    def _decision(self, course: Course, decision: Considered) -> facts.Decision:
+    def _decision(self, course: Course, decision: Considered) -> facts.DecisionFact:
         decided, alone = decision.decided, course.server is None
         limit_s = decided.local_s if alone else course.at_most_s
         here = self.story.tally.whereabouts.of_call_under_way
-        return facts.Decision(
+        return facts.DecisionFact(
             at_s=self._now_s,
             number=self.story.reasons.ended,
             operation=decided.operation,
@@ -258,12 +258,14 @@ class News:
         if self._unfinished and isinstance(event, (schema.ServerStep, schema.LogResumed)):
             for call in self._unfinished:
                 if call.is_final:
-                    yield facts.Amended(at_s=self._now_s, number=call.number, words=list(call_lines(call)))
+                    yield facts.AmendedFact(
+                        at_s=self._now_s, number=call.number, words=list(call_lines(call))
+                    )
             self._unfinished = [call for call in self._unfinished if not call.is_final]
 
-    def _call(self, call: ExplainedCall) -> facts.Call:
+    def _call(self, call: ExplainedCall) -> facts.CallFact:
         outcome, place = call.outcome, call.position or self._place
-        return facts.Call(
+        return facts.CallFact(
             at_s=self._now_s,
             operation=outcome.operation,
             waypoint=call.waypoint,
@@ -282,19 +284,21 @@ class News:
     def _going(self, event: Event, explained: ExplainedCall | ExplainedAnswer | None) -> Iterator[Fact]:
         match event:
             case schema.StayOrGo(goes=True, waypoint=waypoint, why=why):
-                yield facts.Going(at_s=self._now_s, waypoint=waypoint, words=why)
+                yield facts.GoingFact(at_s=self._now_s, waypoint=waypoint, words=why)
             case schema.Arrived(passing=True, waypoint=waypoint):
-                yield facts.Going(at_s=self._now_s, waypoint=waypoint, words="it takes photos in flight")
+                yield facts.GoingFact(at_s=self._now_s, waypoint=waypoint, words="it takes photos in flight")
             case schema.TurnedBack(waypoint=waypoint, position=at):
-                yield facts.Turn(at_s=self._now_s, waypoint=waypoint, east_m=at.east_m, north_m=at.north_m)
+                yield facts.TurnFact(
+                    at_s=self._now_s, waypoint=waypoint, east_m=at.east_m, north_m=at.north_m
+                )
             case schema.CallStarted(waypoint=waypoint):
-                yield facts.Started(at_s=self._now_s, waypoint=waypoint)
+                yield facts.StartedFact(at_s=self._now_s, waypoint=waypoint)
             case schema.AnswerTaken(waypoint=waypoint):
                 hidden_s = explained.hidden_s if isinstance(explained, ExplainedAnswer) else 0.0
-                yield facts.Answer(at_s=self._now_s, waypoint=waypoint, hidden_s=hidden_s)
+                yield facts.AnswerFact(at_s=self._now_s, waypoint=waypoint, hidden_s=hidden_s)
         if (kind := _beside(event, self._beside)) != self._beside:
             self._beside = kind
-            yield facts.Beside(at_s=self._now_s, kind=kind)
+            yield facts.BesideFact(at_s=self._now_s, kind=kind)
 
     # --- photos -----------------------------------------------------------------------------------------------
 
@@ -303,7 +307,7 @@ class News:
         if isinstance(event, schema.PhotoTaken) and photo is not None:
             self.shots.append(photo.shot)
             corners_m = photo.corners_m
-            yield facts.Shot(
+            yield facts.ShotFact(
                 at_s=self._now_s,
                 number=photo.number,
                 waypoint=photo.waypoint,
@@ -317,8 +321,8 @@ class News:
                 self.outlined.add(each.photo.number)
             yield self._told_of(each)
 
-    def _told_of(self, found: Finding) -> facts.Told:
-        return facts.Told(
+    def _told_of(self, found: Finding) -> facts.ToldFact:
+        return facts.ToldFact(
             at_s=self._now_s,
             what=found.what,
             waypoint=found.waypoint,

@@ -12,7 +12,7 @@ from upwash.real.host.signals import stopping_politely
 from upwash.report.photos import PhotoShelf
 from upwash.support.addresses import listening_at
 from upwash.support.background import beside
-from upwash.support.http import Server
+from upwash.support.http import HttpServer
 from upwash.view.app import application, headers_of_answers
 from upwash.view.desk import new_reviewing
 from upwash.view.feed import Feed
@@ -40,7 +40,7 @@ async def serve_view(
     with reading(logs, shelf.keeps) as recordings, _listening(port) as listener:
         feed = Feed(recordings, beneath.tiles if beneath else None, flown, reviewing=new_reviewing())
         headers = headers_of_answers(images=beneath.tiles.sources if beneath else ())
-        server = Server(application(feed, shelf, beneath), headers=headers, goodbye_s=_GOODBYE_S)
+        server = HttpServer(application(feed, shelf, beneath), headers=headers, goodbye_s=_GOODBYE_S)
 
         async def follow() -> None:
             await feed.follow()

@@ -37,7 +37,7 @@ _PHASES: Mapping[type[Event], str] = {  # from the event on
 }
 
 
-class Control:
+class ShownControl:
     """Who has the vehicle: `who` in a word, for people at a distance, `tone` for its colour.
 
     `mode` is the autopilot's, `armed` whether the motors may run; empty and None while the log does not tell.

@@ -53,7 +53,7 @@ def silent(after_s: float = 0.5, **facts: Any) -> Reply:
 
 
 def not_begun(after_s: float = 0.5) -> Reply:
-    return Reply(after_s, steps.NotBegun, {"why": "in line", "queue_s": 6.0})
+    return Reply(after_s, steps.TurnedAway, {"why": "in line", "queue_s": 6.0})
 
 
 def slot_lost(after_s: float = 0.5) -> Reply:
@@ -137,7 +137,7 @@ class Field:
         for step in self.calls.handle(event, now_s=self.now_s, position=HERE):
             self._do(step)
         if self.calls.news > news and self.calls.await_news:
-            self.happens(steps.News())
+            self.happens(steps.Recheck())
 
     def runs(self, until_s: float = math.inf) -> None:
         """Let time pass until then, or until nothing comes any more."""
@@ -151,7 +151,7 @@ class Field:
                 if not {getattr(event, "attempt", None), getattr(event, "computing", None)} & self.stopped:
                     self.happens(event)
             else:
-                self.happens(steps.News())
+                self.happens(steps.Recheck())
         self.now_s = max(self.now_s, until_s) if until_s < math.inf else self.now_s
 
     def answer(self, *decisions: Any, asked: steps.Asked = ASKED) -> tuple[Call, float, Any]:
@@ -181,7 +181,7 @@ class Field:
                 self.told.append(step)
             case steps.Reduce(attempt):
                 after_s, size_bytes, why = self.reduced
-                self._comes(after_s, steps.Reduced(attempt, size_bytes, is_less=not why, why=why))
+                self._comes(after_s, steps.RequestReduced(attempt, size_bytes, is_less=not why, why=why))
             case steps.Send(attempt, deadline_s):
                 self.sent_s.append(deadline_s)
                 self.ran.append(f"{attempt.server} from {self.now_s - 100:g}")
@@ -196,7 +196,7 @@ class Field:
                 )
             case steps.Stop(work):
                 self.stopped.add(work)
-            case steps.Answer(call) | steps.NoAnswer(call):
+            case steps.Answer(call) | steps.LeftUnanswered(call):
                 assert call not in self.ends, "it has ended before"
                 self.ends[call] = self.now_s, step
             case _:

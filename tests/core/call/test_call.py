@@ -28,7 +28,7 @@ from upwash.core.call import steps
 from upwash.core.call.attempts import Attempt
 from upwash.core.policies.policy import Lightened, PolicyDefect, Wait
 from upwash.core.selection import events
-from upwash.core.selection.deadlines import Deadline, Deadlines
+from upwash.core.selection.deadlines import AnswerDeadline, Deadlines
 from upwash.core.selection.hedging import Hedge
 from upwash.core.selection.settings import TwoAnswers
 from upwash.eventlog import schema
@@ -62,7 +62,7 @@ def failed(why: str = "silent", *, late: bool = False) -> list[Any]:
 
 def source(end: Any) -> str:
     """Where the answer came from."""
-    if isinstance(end, steps.NoAnswer):
+    if isinstance(end, steps.LeftUnanswered):
         return end.why
     return end.source.server if isinstance(end.source, Attempt) else "drone"
 
@@ -103,7 +103,7 @@ def test_a_failure_is_told_with_what_it_shows_of_the_path_and_of_the_servers_spe
 
 
 def test_a_call_without_an_answer_counts_as_late_in_what_a_deadline_promises() -> None:
-    known = Deadlines({OPERATION: Deadline(1.0, 0.9, 0.1)}, {("s1", OPERATION): [0.5] * 100})
+    known = Deadlines({OPERATION: AnswerDeadline(1.0, 0.9, 0.1)}, {("s1", OPERATION): [0.5] * 100})
     before = known.prospect(OPERATION, "s1", None)
     Field(replies=at("s1", silent()), deadlines=known).answer(REMOTE)
     after = known.prospect(OPERATION, "s1", None)
@@ -198,7 +198,7 @@ def test_a_call_waits_for_a_check_until_it_is_over_and_no_longer_than_was_decide
     assert field.ran == []
     if ends_s < math.inf:
         field.runs(ends_s)
-        field.happens(steps.News())
+        field.happens(steps.Recheck())
     field.runs()
     record = field.logged
     assert (record.waited_s, record.wait, record.decision) == (waited_s, wait, why)
@@ -338,7 +338,7 @@ def test_a_hedge_waits_for_the_drones_lane() -> None:
     assert field.ran == ["s1 from 0"]
     field.lanes.release("another call")
     field.calls.wake()
-    field.happens(steps.News())
+    field.happens(steps.Recheck())
     assert field.ran == ["s1 from 0", "drone from 4"]
 
 
@@ -469,7 +469,7 @@ def test_an_exception_to_a_smaller_request_may_be_the_parts_fault() -> None:
 def by_a_deadline(first: Reply, second: Reply, **facts: Any) -> tuple[Field, float, Any]:
     """A call that a second server gets after 1.5 s, and all that comes of it."""
     known = Deadlines(
-        {OPERATION: Deadline(2.05, 0.999, 1.0)},
+        {OPERATION: AnswerDeadline(2.05, 0.999, 1.0)},
         {("s1", OPERATION): [0.5] * 200, ("s2", OPERATION): [0.5] * 200},
     )
     field = Field(replies=both(first, second), second_server="s2", deadlines=known, **facts)
@@ -554,7 +554,7 @@ def test_the_drone_joins_in_time_for_a_deadline_that_it_can_keep() -> None:
 
 def test_no_more_second_servers_are_asked_than_the_share_allows() -> None:
     known = Deadlines(
-        {OPERATION: Deadline(2.05, 0.999, 0.2)},
+        {OPERATION: AnswerDeadline(2.05, 0.999, 0.2)},
         {("s1", OPERATION): [0.5] * 3000, ("s2", OPERATION): [0.5] * 3000},
     )
     field = Field(replies=both(value(1.9), value(0.1)), second_server="s2", deadlines=known)

@@ -27,7 +27,7 @@ from upwash.core.call import steps
 from upwash.core.call.call import Call
 from upwash.core.policies.policy import Inputs, Lightened, PolicyDefect, Wait
 from upwash.core.selection import events
-from upwash.core.selection.deadlines import Deadline, Deadlines
+from upwash.core.selection.deadlines import AnswerDeadline, Deadlines
 from upwash.core.selection.hedging import Hedge
 from upwash.core.selection.settings import TwoAnswers
 from upwash.eventlog import schema
@@ -122,7 +122,8 @@ def test_a_call_whose_server_fails_or_is_the_second_of_two_keeps_its_place_on_th
     is_by_a_deadline: bool,
 ) -> None:
     deadlines = Deadlines(
-        {OPERATION: Deadline(2.05, 0.999, 1.0)}, {(name, OPERATION): [0.5] * 200 for name in ("s1", "s2")}
+        {OPERATION: AnswerDeadline(2.05, 0.999, 1.0)},
+        {(name, OPERATION): [0.5] * 200 for name in ("s1", "s2")},
     )
     said = not_begun(0.2) if is_by_a_deadline else silent(0.2)
     field = line(said, decisions=[REMOTE])
@@ -185,7 +186,7 @@ def test_a_policy_may_leave_lanes_free_beside_a_line_for_less_than_a_minute() ->
     field.make()
     field.runs(159.0)
     field.calls.wake()
-    field.happens(steps.News())
+    field.happens(steps.Recheck())
     field.runs(159.9)
     with pytest.raises(PolicyDefect):
         field.runs(160.0)
@@ -215,7 +216,7 @@ def frees(field: Field, at_s: float) -> None:
     field.runs(at_s)
     field.lanes.release("another")
     field.calls.wake()
-    field.happens(steps.News())
+    field.happens(steps.Recheck())
 
 
 @pytest.mark.parametrize(
@@ -299,7 +300,8 @@ def test_a_call_at_the_server_for_its_better_answer_holds_its_lane_until_that_is
 
 def by_a_deadline(*replies: Reply, **facts: Any) -> Field:
     known = Deadlines(
-        {OPERATION: Deadline(2.05, 0.999, 1.0)}, {(name, OPERATION): [0.5] * 200 for name in ("s1", "s2")}
+        {OPERATION: AnswerDeadline(2.05, 0.999, 1.0)},
+        {(name, OPERATION): [0.5] * 200 for name in ("s1", "s2")},
     )
     told: dict[str, Any] = {"second_server": "s2", "deadlines": known, "decisions": [REMOTE]} | facts
     return Field(replies={"s1": [replies[0]], "s2": [replies[-1]]}, **told)
@@ -406,7 +408,7 @@ def test_a_mission_at_rest_waits_longer_beside_other_calls(reach_s: float, withi
     field.runs(100.0 + within_s)
     assert field.ends[call] == (
         100.0 + within_s,
-        steps.NoAnswer(call, f"no server in range answered within {within_s:.0f} s"),
+        steps.LeftUnanswered(call, f"no server in range answered within {within_s:.0f} s"),
     )
     assert call.is_over
 
@@ -416,7 +418,7 @@ def test_the_first_of_two_reasons_to_end_at_the_same_time_counts() -> None:
     call = field.make(PATIENT)
     field.calls.handle(steps.Enough(call), now_s=field.now_s, position=HERE)
     field.happens(steps.EndWaiting("the flight is over"))
-    field.happens(steps.News())
+    field.happens(steps.Recheck())
     assert field.ends[call][1].why == "the mission dropped it"
 
 
@@ -431,7 +433,7 @@ def test_waiting_requests_may_need_all_of_their_memory(most_bytes: int, ended: i
 def test_a_call_on_servers_alone_is_sent_to_one_at_a_time() -> None:
     known = {(name, OPERATION): [0.5] * 200 for name in ("s1", "s2")}
     field = patient(
-        value(9.0), second_server="s2", deadlines=Deadlines({OPERATION: Deadline(2.05, 0.999)}, known)
+        value(9.0), second_server="s2", deadlines=Deadlines({OPERATION: AnswerDeadline(2.05, 0.999)}, known)
     )
     field.make(PATIENT)
     field.runs(105.0)

@@ -137,7 +137,7 @@ class RandomCalls(RuleBasedStateMachine):
             late = next((work for work, (_, end_s) in self.under_way.items() if end_s <= due_s), None)
             if late is None or self.alarm_s <= due_s:
                 self.looked_at = self.calls.news
-                self.handle(steps.News())
+                self.handle(steps.Recheck())
             else:
                 self.ends(late, "cut" if isinstance(late, Attempt) else "failed")
             self.look()
@@ -168,13 +168,13 @@ class RandomCalls(RuleBasedStateMachine):
             event, story.own = steps.Computed(work, raised, failed=how == "failed"), how
         elif doing == "reduce":
             why = "it broke" if how in ("failed", "cut") else ""
-            event = steps.Reduced(work, 60 if how == "less" else 100, is_less=how == "less", why=why)
+            event = steps.RequestReduced(work, 60 if how == "less" else 100, is_less=how == "less", why=why)
         elif how in ("value", "raised"):
             event = steps.Replied(work, 7, raised)
             story.has_raised |= how == "raised"
             self.latest_value = work if how == "value" else None
         elif how == "not begun":
-            event, story.place = steps.NotBegun(work, "in line", 6.0), ""
+            event, story.place = steps.TurnedAway(work, "in line", 6.0), ""
         elif how == "slot lost":
             event = steps.SlotLost(work, "another drone has it")
         else:
@@ -199,7 +199,7 @@ class RandomCalls(RuleBasedStateMachine):
             self.looked_at = self.calls.news
             if not is_awaited:
                 return
-            self.handle(steps.News())
+            self.handle(steps.Recheck())
         raise AssertionError("calls are looked at again and again")
 
     def handle(self, event: Any) -> list[Any]:
@@ -237,7 +237,7 @@ class RandomCalls(RuleBasedStateMachine):
             case steps.Answer(call, source):
                 assert source.call is call
                 self.over(call, step)
-            case steps.NoAnswer(call, why):
+            case steps.LeftUnanswered(call, why):
                 story = self.stories[call]
                 assert story.asked.on_servers
                 if why == "no server answered within 30 s":
@@ -252,11 +252,11 @@ class RandomCalls(RuleBasedStateMachine):
         assert isinstance(work, Computing) or not story.asked.once
         self.under_way[work] = doing, until_s
 
-    def over(self, call: Call, end: steps.Answer | steps.NoAnswer) -> None:
+    def over(self, call: Call, end: steps.Answer | steps.LeftUnanswered) -> None:
         story, now_s = self.stories[call], self.world.now_s
         assert not story.is_over, "ends twice"
         story.end = end
-        if isinstance(end, steps.NoAnswer):
+        if isinstance(end, steps.LeftUnanswered):
             return
         if isinstance(end.source, Attempt):
             assert end.source is self.latest_value, "no server has answered so"
@@ -404,7 +404,9 @@ class RandomCalls(RuleBasedStateMachine):
         for call, story in self.stories.items():
             is_answer = isinstance(story.end, steps.Answer) and story.end.source.state == "answered"
             assert self.records["call", call.asked.waypoint] == is_answer
-            assert self.records["unanswered", call.asked.waypoint] == isinstance(story.end, steps.NoAnswer)
+            assert self.records["unanswered", call.asked.waypoint] == isinstance(
+                story.end, steps.LeftUnanswered
+            )
 
 
 def pick(of: list[Any], number: int) -> Any:

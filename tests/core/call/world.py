@@ -11,7 +11,7 @@ from tests.core.call.field import CHECK, LIGHT, LOCAL, RACED, REMOTE, Field
 from upwash.core.call import steps
 from upwash.core.operation import ON_DRONE, Operation
 from upwash.core.policies.policy import Remote
-from upwash.core.selection.deadlines import Deadline, Deadlines
+from upwash.core.selection.deadlines import AnswerDeadline, Deadlines
 from upwash.core.selection.lanes import InLine
 from upwash.core.selection.settings import TwoAnswers
 
@@ -28,7 +28,7 @@ class Story:
 
     asked: steps.Asked
     made_s: float
-    end: steps.Answer | steps.NoAnswer | None = None
+    end: steps.Answer | steps.LeftUnanswered | None = None
     is_abandoned: bool = False
     is_enough: bool = False
     place: str = ""  # whose lane it holds
@@ -61,7 +61,7 @@ class World(Field):
 
     def __init__(self, first: str | None) -> None:
         known = {(server, BY_A_DEADLINE): KNOWN_S for server in ("s1", "s2")}
-        deadlines = Deadlines({BY_A_DEADLINE: Deadline(2.05, 0.999, 1.0)}, known)
+        deadlines = Deadlines({BY_A_DEADLINE: AnswerDeadline(2.05, 0.999, 1.0)}, known)
         super().__init__(first=first, deadlines=deadlines, waiting_bytes=250)
         self.two_answers = {TWICE: TWO}
         self.decision: Any = LOCAL

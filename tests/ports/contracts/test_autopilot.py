@@ -18,7 +18,7 @@ from upwash.ports import Autopilot
 from upwash.real.mavlink import FlightSettings
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.loop import run_virtually
-from upwash.sim.vehicle import Manner, Plain
+from upwash.sim.vehicle import FlightModel, Plain
 from upwash.vehicle.ardupilot import airframe as arducopter
 from upwash.vehicle.body.copter import FaultKind
 from upwash.vehicle.px4.settings import Px4Settings
@@ -57,7 +57,9 @@ async def doubting_mavlink_autopilot() -> AsyncIterator[Autopilot]:
         yield autopilot
 
 
-def model(manner: Manner, *incidents: FaultConfig) -> Callable[[], AbstractAsyncContextManager[Autopilot]]:
+def model(
+    manner: FlightModel, *incidents: FaultConfig
+) -> Callable[[], AbstractAsyncContextManager[Autopilot]]:
     @asynccontextmanager
     async def made() -> AsyncIterator[Autopilot]:
         autopilot = ModelAutopilot(

@@ -32,7 +32,7 @@ from upwash.real.trust.credentials import Credentials, fingerprint
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import Reply, load_service, spec_of
 from upwash.sim.link import ModelDialer, Switchboard
-from upwash.sim.runtime import Computer, ModelRuntime
+from upwash.sim.runtime import ModelledComputer, ModelRuntime
 
 CALL_S = 0.5
 
@@ -194,7 +194,7 @@ def slow_site(request: pytest.FixtureRequest, services: Path, tmp_path: Path) ->
 
 
 @asynccontextmanager
-async def modelled(spec: InstanceSpec, computer: Computer, **site: Any) -> AsyncIterator[Site]:
+async def modelled(spec: InstanceSpec, computer: ModelledComputer, **site: Any) -> AsyncIterator[Site]:
     switchboard, objects = Switchboard({}), site.pop("objects", {})
     described = spec_of(load_service(spec.program.path))
     runtime = ModelRuntime({spec.service: described}, computer, switchboard, objects=objects)

@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.geo import GeoPosition, LocalFrame, Position, distance_m
 from upwash.errors import AutopilotError
 from upwash.mavlink.signing import Signing
-from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, Patience, connect_autopilot
+from upwash.real.mavlink import DriverPatience, FlightSettings, MavlinkAutopilot, connect_autopilot
 from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.server import serve_vehicle
 
@@ -31,7 +31,7 @@ HASTY = FlightSettings(
     arm_again_s=0.2,
     progress_s=0.5,
     margin_s=6.0,
-    patience=Patience(answer_s=0.3, attempts=4, others_s=0.0, quiet_after_s=0.6, lost_after_s=3.0),
+    patience=DriverPatience(answer_s=0.3, attempts=4, others_s=0.0, quiet_after_s=0.6, lost_after_s=3.0),
 )
 KEY = bytes(range(32))
 LOCAL = "127.0.0.1"

@@ -92,7 +92,7 @@ class Calls:
     ) -> list[Instruction]:
         """Take in what has happened at the position; return what the program has to do, in that order."""
         self.now_s, self.here = now_s, position
-        self.happened += not isinstance(event, steps.News)
+        self.happened += not isinstance(event, steps.Recheck)
         if isinstance(event, SelectionEvent):
             self.tell(event)
         else:
@@ -103,7 +103,7 @@ class Calls:
 
     def _take_in(self, event: CallEvent) -> None:
         match event:
-            case steps.News():
+            case steps.Recheck():
                 self._look()
             case steps.Made(call):
                 self._make(call)

@@ -139,4 +139,4 @@ class OnServers(Manner):
                 why=self._why,
             )
         )
-        calls.do(steps.NoAnswer(call, self._why))
+        calls.do(steps.LeftUnanswered(call, self._why))

@@ -19,7 +19,7 @@ from upwash.eventlog import schema
 if TYPE_CHECKING:
     from upwash.core.call.calls import Calls
 
-Outcome: TypeAlias = steps.Reduced | steps.Replied | steps.NotBegun | steps.SlotLost | steps.Failed
+Outcome: TypeAlias = steps.RequestReduced | steps.Replied | steps.TurnedAway | steps.SlotLost | steps.Failed
 
 
 class Outcomes:
@@ -31,11 +31,11 @@ class Outcomes:
     def take_in(self, event: Outcome) -> None:
         """Take in what has come of an attempt."""
         match event:
-            case steps.Reduced():
+            case steps.RequestReduced():
                 self._reduced(event)
             case steps.Replied():
                 self._replied(event)
-            case steps.NotBegun():
+            case steps.TurnedAway():
                 self._not_begun(event)
             case steps.SlotLost(attempt, why):
                 self._calls.tell(events.SlotTaken(attempt.check, why, in_call=True))
@@ -43,7 +43,7 @@ class Outcomes:
             case steps.Failed():
                 self._failed(event)
 
-    def _reduced(self, event: steps.Reduced) -> None:
+    def _reduced(self, event: steps.RequestReduced) -> None:
         """Send what the part before sending has left, if the server is still of use."""
         attempt, calls = event.attempt, self._calls
         attempt.part_s, attempt.sent_bytes = calls.now_s - attempt.begun_s, event.size_bytes
@@ -88,7 +88,7 @@ class Outcomes:
         self._reached(attempt, delay_s, reply.size_bytes)
         call.tried(attempt, "answered")
 
-    def _not_begun(self, event: steps.NotBegun) -> None:
+    def _not_begun(self, event: steps.TurnedAway) -> None:
         attempt, why, queue_s = event.attempt, event.why, event.queue_s
         waited_s, is_late = self._calls.now_s - attempt.counts_from_s, attempt.call.is_late(attempt)
         self._calls.do(

@@ -69,7 +69,7 @@ class Replied(Struct, frozen=True):
     queue_s: float = 0.0
 
 
-class NotBegun(Struct, frozen=True):
+class TurnedAway(Struct, frozen=True):
     """The server did not begin the call, as others of `queue_s` come first."""
 
     attempt: Attempt
@@ -93,7 +93,7 @@ class Failed(Struct, frozen=True):
     unreached: bool = False
 
 
-class Reduced(Struct, frozen=True):
+class RequestReduced(Struct, frozen=True):
     """The part before sending has ended, with a request of that size; it `is_less`, or whole for the reason `why`."""
 
     attempt: Attempt
@@ -116,12 +116,14 @@ class EndWaiting(Struct, frozen=True):
     why: str
 
 
-class News(Struct, frozen=True):
+class Recheck(Struct, frozen=True):
     """Each call is looked at, as time has passed or an event has come."""
 
 
 MissionEvent: TypeAlias = Made | Waited | Enough | Abandoned | EndWaiting
-CallEvent: TypeAlias = MissionEvent | Replied | NotBegun | SlotLost | Failed | Reduced | Computed | News
+CallEvent: TypeAlias = (
+    MissionEvent | Replied | TurnedAway | SlotLost | Failed | RequestReduced | Computed | Recheck
+)
 
 # --- instructions out ---------------------------------------------------------------------------------------
 
@@ -180,7 +182,7 @@ class Answer(Struct, frozen=True):
     source: Attempt | Computing
 
 
-class NoAnswer(Struct, frozen=True):
+class LeftUnanswered(Struct, frozen=True):
     """The call, which only servers compute, is over without an answer."""
 
     call: Call
@@ -192,5 +194,5 @@ class LookAgain(Struct, frozen=True):
 
 
 Instruction: TypeAlias = (
-    Reduce | Send | Compute | Stop | Cut | Deny | Hear | Answer | NoAnswer | LookAgain | Effect
+    Reduce | Send | Compute | Stop | Cut | Deny | Hear | Answer | LeftUnanswered | LookAgain | Effect
 )

@@ -23,7 +23,7 @@ T = TypeVar("T")
 _LEAST_GAIN_S = 0.5  # of an act that is put off
 
 
-class Way(NamedTuple):
+class WayAhead(NamedTuple):
     """A drone before the `target`th waypoint of its plan, which has to be `ahead` after an act.
 
     It is `here`, on a leg to `end` where it rests at `rest` if it brakes now. Without a `rest` it rests here.
@@ -95,7 +95,7 @@ class Acts(Generic[T]):
     def choice(
         self,
         place: Position,
-        way: Way,
+        way: WayAhead,
         *,
         within_s: float = math.inf,
         allows: Callable[[Position, Position], bool] = lambda *_: True,
@@ -139,7 +139,7 @@ class Acts(Generic[T]):
         """Take all acts, in the order of the way."""
         return [act for number in sorted(self._gaps) for act in self.due_after(number)]
 
-    def take(self, way: Way, wanted: Callable[[T, LateAct], bool]) -> list[T]:
+    def take(self, way: WayAhead, wanted: Callable[[T, LateAct], bool]) -> list[T]:
         """Take the acts that are wanted now, each with its gap alone, and those of gaps that lie behind."""
         taken = []
         for number in sorted(self._gaps):
@@ -156,7 +156,7 @@ class Acts(Generic[T]):
                 del self._gaps[number]
         return taken
 
-    def _at_once_s(self, place: Position, way: Way) -> float:
+    def _at_once_s(self, place: Position, way: WayAhead) -> float:
         """What an act costs that is done at once."""
         if way.end is None or way.rest is None:
             return (
@@ -221,7 +221,7 @@ class Acts(Generic[T]):
         longer_m = distance_m(start, place) + distance_m(place, ahead) - distance_m(start, ahead)
         return longer_m / self._ground_speed_m_s
 
-    def _in_s(self, number: int, place: Position, way: Way) -> float:
+    def _in_s(self, number: int, place: Position, way: WayAhead) -> float:
         """The seconds until an act in the gap begins, at the earliest."""
         first = min(way.target, number)
         to_first_s = distance_m(way.here, self._plan[first].position) / self._ground_speed_m_s

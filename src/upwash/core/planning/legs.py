@@ -82,7 +82,7 @@ class Leg(Struct, frozen=True):
         return self._top_m_s / self.acceleration_m_s2
 
 
-class Section(Struct, frozen=True):
+class LegPart(Struct, frozen=True):
     """A part of a leg, from one place that is passed, or its start, to the next."""
 
     whole: Leg

@@ -19,7 +19,7 @@ from upwash.core.geo import Position, Reach, Via, Waypoint, distance_m, row_of
 from upwash.core.knowledge.estimates import WINDOW_LENGTH
 from upwash.core.knowledge.ranges import AreaIndex
 from upwash.core.operation import Operation
-from upwash.core.planning.legs import Leg, Pace, Section, acceleration_m_s2, entered_m
+from upwash.core.planning.legs import Leg, LegPart, Pace, acceleration_m_s2, entered_m
 
 _MOST_ENTRIES = 10_000  # of the cache of legs
 
@@ -88,7 +88,7 @@ class PlannedLeg(Struct, frozen=True):
 
     start: Position
     end: Position
-    leg: Leg | Section
+    leg: Leg | LegPart
     hold_s: float = 0.0
 
 
@@ -298,26 +298,26 @@ class MissionModel:
             start = legs[-1].end
             if index is not None:
                 ground_speed_m_s = ground_speed_m_s or self._plan[index].ground_speed_m_s
-        leg: Leg | Section = self._leg(distance_m(start, target), ground_speed_m_s)
+        leg: Leg | LegPart = self._leg(distance_m(start, target), ground_speed_m_s)
         if index is not None and (row_end := self._plan[index].row_end) is not None:
             first, row_start = self._row_starts[index]
             if row_start != self._plan[index].position:  # else the leg begins at rest there
                 whole = self._leg(distance_m(row_start, row_end), ground_speed_m_s)
                 before = row_start if first == index else self._plan[index - 1].position
                 to_m = distance_m(before, self._plan[index].position)
-                leg = Section(whole, distance_m(row_start, before), to_m)
+                leg = LegPart(whole, distance_m(row_start, before), to_m)
         return [*legs, PlannedLeg(start, target, leg)]
 
     def _via_legs(self, index: int | None, start: Position, via: Sequence[Via]) -> list[PlannedLeg]:
         """The legs over these places, from the waypoint of that index if it is one."""
         legs: list[PlannedLeg] = []
         for place in via:
-            leg: Leg | Section = self._leg(distance_m(start, place.position), place.ground_speed_m_s)
+            leg: Leg | LegPart = self._leg(distance_m(start, place.position), place.ground_speed_m_s)
             if index is not None and not legs and self._plan[index].row_end == place.position:
                 row_start = self._row_starts[index][1]
                 whole = self._leg(distance_m(row_start, place.position), place.ground_speed_m_s)
                 flown_m = distance_m(row_start, self._plan[index].position)
-                leg = Section(whole, flown_m, whole.length_m - flown_m)
+                leg = LegPart(whole, flown_m, whole.length_m - flown_m)
             legs.append(PlannedLeg(start, place.position, leg, place.hold_s))
             start = place.position
         return legs

@@ -34,7 +34,9 @@ _MOMENT_S = 0.05  # answers and timers may be later than known by it
 Probability = Annotated[float, Meta(gt=0, lt=1, description="a number above 0 and below 1, such as 0.99")]
 
 
-class Deadline(Struct, frozen=True, forbid_unknown_fields=True, rename={"within_s": "s", "probability": "p"}):
+class AnswerDeadline(
+    Struct, frozen=True, forbid_unknown_fields=True, rename={"within_s": "s", "probability": "p"}
+):
     """By when a call is answered, and how surely: [deadlines](calls.md#deadlines)."""
 
     within_s: Positive
@@ -100,7 +102,9 @@ class Delays:
         return bisect_right(self._sorted, within_s)
 
 
-def prospect(deadline: Deadline, first: Delays, second: Delays | None, *, miss: float = MISS) -> Prospect:
+def prospect(
+    deadline: AnswerDeadline, first: Delays, second: Delays | None, *, miss: float = MISS
+) -> Prospect:
     """What the first server promises alone, or with the second one asked as late as the probability allows.
 
     The promise is too high with the probability `miss` at most.
@@ -137,7 +141,7 @@ class Deadlines:
 
     def __init__(
         self,
-        deadlines: Mapping[Operation, Deadline] = MappingProxyType({}),
+        deadlines: Mapping[Operation, AnswerDeadline] = MappingProxyType({}),
         known_s: Mapping[tuple[str, Operation], Sequence[float]] = MappingProxyType({}),
     ) -> None:
         self._deadlines = deadlines

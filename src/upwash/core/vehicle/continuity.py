@@ -24,7 +24,7 @@ _GAP_S = 3.0  # in a longer one, a wrong fix may have taken its place unseen
 _JUMPS_KEPT = 16
 
 
-class Track:
+class PositionSeries:
     """One series of positions, and its jumps that are not undone."""
 
     def __init__(self) -> None:
@@ -69,8 +69,8 @@ class Continuity:
     """Compares the position estimate of the autopilot with the positions of its satellite receiver."""
 
     def __init__(self) -> None:
-        self._estimate = Track()
-        self._receiver = Track()
+        self._estimate = PositionSeries()
+        self._receiver = PositionSeries()
 
     @property
     def doubt_m(self) -> float:

@@ -22,7 +22,7 @@ _NEVER_S = 1e6
 
 
 @dataclass(frozen=True, slots=True)
-class FlownWorld:
+class ChaosFlight:
     """A world that was flown: the drones' scenarios with their faults, what became of them, what an observer saw."""
 
     documents: list[Document]
@@ -67,7 +67,7 @@ def judge(seed: int, *, replay: bool = False) -> WorldVerdict:
     )
 
 
-def fly_world(seed: int) -> FlownWorld:
+def fly_world(seed: int) -> ChaosFlight:
     """The world of the seed, flown with its faults; without them where that breaks a promise already."""
     calm = _fly_calm((seed - 1) // SEEDS_PER_SCENARIO)
     if calm.broken:
@@ -80,7 +80,7 @@ def fly_world(seed: int) -> FlownWorld:
 
 
 @dataclass(frozen=True, slots=True)
-class _Calm(FlownWorld):
+class _Calm(ChaosFlight):
     alone: list[Run]
 
 
@@ -99,7 +99,7 @@ def _alone(config: DroneConfig) -> Run:
     return simulate_fleet([by_itself], computing=True)[0]
 
 
-def _fly(seed: int, documents: list[Document], alone: Sequence[Run]) -> FlownWorld:
+def _fly(seed: int, documents: list[Document], alone: Sequence[Run]) -> ChaosFlight:
     fleet, seen = configs(documents), list[Observation]()
     runs = simulate_fleet(fleet, computing=True, seen=seen)
     broken: list[Broken] = []
@@ -107,10 +107,10 @@ def _fly(seed: int, documents: list[Document], alone: Sequence[Run]) -> FlownWor
         delayed = any(fault.target == "autopilot" for fault in config.faults)
         history = History(config, run, seen, None if delayed else by_itself)
         broken += broken_promises(history, seed=seed)
-    return FlownWorld(documents, runs, seen, broken)
+    return ChaosFlight(documents, runs, seen, broken)
 
 
-def _differences(seed: int, first: FlownWorld) -> list[Broken]:
+def _differences(seed: int, first: ChaosFlight) -> list[Broken]:
     runs = simulate_fleet(configs(first.documents), computing=True, seen=[])
     for one, other in zip(first.runs, runs, strict=True):
         for event, again in zip(one.events, other.events, strict=False):

@@ -11,7 +11,7 @@ import msgspec
 from rich.console import Console
 from rich.text import Text
 
-from upwash.lab.faults.campaign import FlownWorld, WorldVerdict, fly_world, judge
+from upwash.lab.faults.campaign import ChaosFlight, WorldVerdict, fly_world, judge
 from upwash.lab.faults.promises import Broken
 from upwash.lab.outcome import quiet_daemons
 from upwash.lab.processes import in_processes
@@ -102,7 +102,7 @@ def replay(seed: int, log: Path | None) -> bool:
     return not flown.broken
 
 
-def _write(flown: FlownWorld, log: Path) -> Iterator[Path]:
+def _write(flown: ChaosFlight, log: Path) -> Iterator[Path]:
     for document, run in zip(flown.documents, flown.runs, strict=True):
         first = run is flown.runs[0]
         own = log if first else log.with_name(f"{log.stem}-{document['name']}{log.suffix}")

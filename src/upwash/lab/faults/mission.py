@@ -27,7 +27,7 @@ class Blurred(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Sighting:
+class NumberRead:
     """The answer for a number."""
 
     number: int
@@ -64,14 +64,14 @@ class Thumbnail:
 
 
 @service(profile_by="mode", before_sending=Thumbnail)
-class Spotter:
+class NumberReader:
     """Reads the digits of a number, except of every fifth number."""
 
-    def look(self, number: int, mode: Mode, picture: bytes = _PICTURE) -> Sighting:
+    def look(self, number: int, mode: Mode, picture: bytes = _PICTURE) -> NumberRead:
         """Slow or fast, by the mode."""
         if number % 5 == 2:
             raise Blurred(f"number {number} is blurred")
-        return Sighting(number, mode, [int(digit) for digit in str(number)])
+        return NumberRead(number, mode, [int(digit) for digit in str(number)])
 
 
 @service
@@ -132,13 +132,13 @@ def is_hasty(number: int) -> bool:
 
 def look(drone: Drone, mode: Mode) -> None:
     """Has one number looked at, at each waypoint."""
-    spotter = drone.service(Spotter)
+    spotter = drone.service(NumberReader)
     _survey(drone, lambda number: spotter.look(number, mode), calls=1)
 
 
 def look_and_read(drone: Drone, mode: Mode) -> None:
     """Calls both services at each waypoint."""
-    spotter, gauge = drone.service(Spotter), drone.service(Gauge)
+    spotter, gauge = drone.service(NumberReader), drone.service(Gauge)
 
     def ask(number: int) -> object:
         return gauge.read(number) if number % 2 else spotter.look(number, mode)
@@ -148,7 +148,7 @@ def look_and_read(drone: Drone, mode: Mode) -> None:
 
 def look_later(drone: Drone, mode: Mode, *, program: str = "look_later") -> None:
     """Has one number looked at, at each waypoint, and may fly on meanwhile; some answers demand an action there."""
-    spotter = drone.service(Spotter)
+    spotter = drone.service(NumberReader)
     for number, waypoint in visits(drone):
         drone.camera.take_photo()
         visit = _Visit(drone, waypoint, number, program)
@@ -177,7 +177,7 @@ def look_and_read_on_the_move(drone: Drone, mode: Mode) -> None:
 
 
 def _look_on_the_move(drone: Drone, mode: Mode, *, gauge: Gauge | None, program: str) -> None:
-    spotter = drone.service(Spotter)
+    spotter = drone.service(NumberReader)
 
     def ask(number: int) -> object:
         return gauge.read(number) if gauge is not None and number % 2 else spotter.look(number, mode)
@@ -236,7 +236,7 @@ class _Visit:
         self._tell(CallReport(asked=self.number, answer=msgspec.to_builtins(answer)))
         if self.program == ask_servers.__name__:
             return answer is not None and self.number % 6 == 4
-        mode = answer.mode if isinstance(answer, Sighting) else ""
+        mode = answer.mode if isinstance(answer, NumberRead) else ""
         return demands_something(self.program, self.number, mode)
 
     def act(self, _: object) -> None:
@@ -256,7 +256,7 @@ def expected(program: str, mode: Mode, number: int) -> CallReport:
     """What a mission of this module must hear when it asks about the number."""
     both = "look_and_read" in program
     ask: Callable[[], object] = (
-        (lambda: Gauge().read(number)) if both and number % 2 else (lambda: Spotter().look(number, mode))
+        (lambda: Gauge().read(number)) if both and number % 2 else (lambda: NumberReader().look(number, mode))
     )
     return _hear(number, ask)
 

@@ -53,7 +53,7 @@ _MOMENTS = (
 )  # fmt: skip
 
 
-class Moment(NamedTuple):
+class FaultMoment(NamedTuple):
     """The time and kind of an event of a flight, and the name of its server or None."""
 
     t: float
@@ -61,20 +61,20 @@ class Moment(NamedTuple):
     server: str | None
 
 
-def moment_of(event: Event | Observation) -> Moment:
+def moment_of(event: Event | Observation) -> FaultMoment:
     """The moment of an event of a log, or of what an observer saw."""
     if isinstance(event, Observation):
-        return Moment(event.t, event.event, event.server)
+        return FaultMoment(event.t, event.event, event.server)
     at = event.server if isinstance(event, (schema.ServerStep, schema.Joined, schema.Decided)) else None
-    return Moment(event.t, event.kind, at)
+    return FaultMoment(event.t, event.kind, at)
 
 
 class _Aims(NamedTuple):
     """What faults are aimed at: servers, the moments of a calm flight that matter most to a fault, and all others."""
 
     servers: Sequence[str]
-    moments: Sequence[Moment]
-    events: Sequence[Moment]
+    moments: Sequence[FaultMoment]
+    events: Sequence[FaultMoment]
 
 
 class World:
@@ -105,7 +105,7 @@ class World:
         """The scenario of each drone, nothing going wrong."""
         return self._documents
 
-    def faulty(self, seed: int, events: Sequence[Moment]) -> list[Document]:
+    def faulty(self, seed: int, events: Sequence[FaultMoment]) -> list[Document]:
         """The same with the faults of the seed, aimed at moments of these events of the calm flight."""
         events = [event for event in events if event.what not in _NOT_AIMED_AT]
         names = [server["name"] for server in self._documents[0]["server"]]

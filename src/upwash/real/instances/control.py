@@ -90,7 +90,7 @@ class Ready(msgspec.Struct, frozen=True, tag="ready"):
     address: str
 
 
-class Failed(msgspec.Struct, frozen=True, tag="failed"):
+class InstanceFailed(msgspec.Struct, frozen=True, tag="failed"):
     """From the instance: it cannot serve."""
 
     why: str
@@ -133,7 +133,7 @@ class ServiceEnded(msgspec.Struct, frozen=True, tag="ended"):
     code: int
 
 
-FromInstance = Ready | Failed | Admitted | Drained | Called | Answered | Printed | ServiceEnded
+FromInstance = Ready | InstanceFailed | Admitted | Drained | Called | Answered | Printed | ServiceEnded
 
 _encoder = msgspec.json.Encoder()
 to_instance = msgspec.json.Decoder(Begin | AdmitDrones | Drain)

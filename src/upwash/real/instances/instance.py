@@ -232,7 +232,7 @@ def main() -> NoReturn:
     except UsageError as error:
         if error.__cause__ is not None:
             traceback.print_exception(error.__cause__)  # for the log of who started this
-        line.sendall(control.line(control.Failed(str(error)[:_LONGEST_REASON])))
+        line.sendall(control.line(control.InstanceFailed(str(error)[:_LONGEST_REASON])))
         raise SystemExit(1) from error
     context = None
     if begin.outside:

@@ -20,7 +20,7 @@ from upwash import ports
 from upwash.core.admission.limits import Allowance
 from upwash.errors import InstanceError
 from upwash.real.instances import control
-from upwash.real.instances.output import Output
+from upwash.real.instances.output import InstanceOutput
 from upwash.real.link.door import Entrance, Lead
 from upwash.real.link.proxy import Connect
 from upwash.real.link.streams import hang_up
@@ -45,7 +45,7 @@ class InstanceControl:
     def __init__(
         self,
         spec: ports.InstanceSpec,
-        output: Output,
+        output: InstanceOutput,
         *,
         called: Callable[[str], None],
         answered: ports.Answered,
@@ -84,7 +84,7 @@ class InstanceControl:
                         self._listen(), name=f"the control line of {self._name}", failed=self._lose
                     )
                     return address
-                case control.Failed(why):
+                case control.InstanceFailed(why):
                     raise InstanceError(f"{self._name} did not start: {words_of(why[:_LONGEST_REASON])}")
                 case control.Printed(output, left_out):
                     self._output.add(output, left_out=left_out)
@@ -233,7 +233,7 @@ class ControlledInstance(ABC):
         self._lead = callbacks.lead
         self._keep = callbacks.keep
         self._entrance: Entrance | None = None
-        self._output = Output(spec.name)
+        self._output = InstanceOutput(spec.name)
         self._control: InstanceControl | None = None
         self._stopped = asyncio.Event()
 

@@ -43,7 +43,7 @@ def last_of(printed: bytes) -> bytes:
     return printed[-_LAST_WORDS * (_LONGEST_LINE + 1) :]
 
 
-class Output:
+class InstanceOutput:
     """The output of the instance of that name, progress bars and endless lines included."""
 
     def __init__(self, name: str, *, now_s: Callable[[], float] = time.monotonic) -> None:

@@ -25,6 +25,6 @@ texts stand in a table made from its source. Only their clocks distinguish vehic
 from upwash.real.mavlink.autopilot import MavlinkAutopilot
 from upwash.real.mavlink.connect import connect_autopilot
 from upwash.real.mavlink.link import MavlinkLink
-from upwash.real.mavlink.settings import FlightSettings, Patience
+from upwash.real.mavlink.settings import DriverPatience, FlightSettings
 
-__all__ = ["FlightSettings", "MavlinkAutopilot", "MavlinkLink", "Patience", "connect_autopilot"]
+__all__ = ["DriverPatience", "FlightSettings", "MavlinkAutopilot", "MavlinkLink", "connect_autopilot"]

@@ -32,7 +32,7 @@ from upwash.real.mavlink.link import MavlinkLink, Opener
 from upwash.real.mavlink.news import VehicleNewsFeed
 from upwash.real.mavlink.numbering import BootClock, Numbering
 from upwash.real.mavlink.receiver import is_signed
-from upwash.real.mavlink.settings import Patience
+from upwash.real.mavlink.settings import DriverPatience
 from upwash.real.mavlink.streams import Streams
 from upwash.real.mavlink.telemetry import FirmwareProfile, VehicleTelemetry
 from upwash.support.background import end, kept_up, only_logged, start
@@ -71,7 +71,7 @@ class ObservedVehicle:
     def __init__(
         self,
         connection: str | Opener,
-        patience: Patience,
+        patience: DriverPatience,
         firmwares: Sequence[FirmwareProfile],
         *,
         signing: Signing | None = None,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)
-class Patience:
+class DriverPatience:
     """How long the driver waits for reports and answers."""
 
     answer_s: float = 1.0  # for the answer to a command, before it is repeated
@@ -37,4 +37,4 @@ class FlightSettings:
     slowest_share: float = 1 / 3  # of the ground speed, against the wind
     slowest_vertical_m_s: float = 0.4
     return_altitude_m: float = 100.0  # the vehicle may climb to this height before it returns
-    patience: Patience = field(default_factory=Patience)
+    patience: DriverPatience = field(default_factory=DriverPatience)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeVar
 
 from upwash.report.client.mosaic import Mosaic
-from upwash.report.client.survey import Inspected, Look, PhotoKey, Survey
+from upwash.report.client.survey import Inspected, PhotoKey, ShownSighting, Survey
 from upwash.report.crops import Crop, crop_around, pixels_of, smaller
 from upwash.report.photos import PhotoShelf
 from upwash.support.progress import work
@@ -37,7 +37,7 @@ _FINE, _MEDIUM, _COARSE = Size(1000, 2.5), Size(720, 2.0), Size(480, 1.5)
 
 
 @dataclass(slots=True)
-class Album:
+class DocumentPictures:
     """The pictures that there are: photos and thumbnails by photo, crops by object and look.
 
     `laid` are the photos of the mosaics; `missing` photos were not kept, or cannot be read. `full` says that the
@@ -67,7 +67,7 @@ class Album:
         self.bytes += len(picture.jpeg)
         pictures[key] = picture
 
-    def add_look(self, each: Inspected, index: int, look: Look, pixels: MatLike, size: Size) -> None:
+    def add_look(self, each: Inspected, index: int, look: ShownSighting, pixels: MatLike, size: Size) -> None:
         """Add what a look at an object shows, and of the surest look the whole photo."""
         if look.finding.box is not None:
             crop = crop_around(look.finding.box, pixels, enlarged=size.enlarged)
@@ -78,13 +78,13 @@ class Album:
 
 def album_of(
     survey: Survey, shelves: Sequence[PhotoShelf], mosaics: Mapping[int, tuple[int, Mosaic]]
-) -> Album:
+) -> DocumentPictures:
     """The pictures of the survey: each photo is read once, and laid on the mosaic of its flight.
 
     Photos of a flight are on its shelf. A mosaic is in metres from the home of the flight named beside it.
     """
-    album = Album()
-    looks: dict[PhotoKey, list[tuple[Inspected, int, Look]]] = defaultdict(list)
+    album = DocumentPictures()
+    looks: dict[PhotoKey, list[tuple[Inspected, int, ShownSighting]]] = defaultdict(list)
     for each in survey.objects[:_MOST_PICTURED]:
         for index, look in enumerate(each.looks):
             looks[look.photo].append((each, index, look))

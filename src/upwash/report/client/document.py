@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from datetime import datetime
 from importlib.resources import files
 
-from upwash.report.client.album import Album, album_of
+from upwash.report.client.album import DocumentPictures, album_of
 from upwash.report.client.mosaic import Mosaic
 from upwash.report.client.objects import draw_objects, listed
 from upwash.report.client.sitemap import DrawnMap, SiteMap, sites_of
-from upwash.report.client.survey import Flown, Survey, survey_of
+from upwash.report.client.survey import Survey, SurveyFlight, survey_of
 from upwash.report.client.words import NO_WORDS, Words
 from upwash.report.markup import Markup, element, head, in_document, joined, source_of
 from upwash.report.palette import DARK, LIGHT, Theme
@@ -124,7 +124,7 @@ def _days(survey: Survey) -> str:
     return days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}" if days else ""
 
 
-def _flight(flight: Flown) -> str:
+def _flight(flight: SurveyFlight) -> str:
     began, drone = _began(flight), _flown_by(flight)
     day = [] if began is None else [f"{began.day} {began:%B %Y}, {began:%H:%M} UTC"]
     photos = counted(len(flight.photographs), "photo")
@@ -146,11 +146,11 @@ def _dates(survey: Survey) -> str:
     return _days(survey)
 
 
-def _began(flight: Flown) -> datetime | None:
+def _began(flight: SurveyFlight) -> datetime | None:
     return flight.record.flight.time_of_day(flight.record.began_s)
 
 
-def _ended(flight: Flown) -> datetime | None:
+def _ended(flight: SurveyFlight) -> datetime | None:
     return flight.record.flight.time_of_day(flight.record.began_s + flight.record.result.mission_time_s)
 
 
@@ -163,7 +163,7 @@ def _where(survey: Survey, site: SiteMap) -> str:
     return "; ".join(known) or "not known"
 
 
-def _flown_by(flight: Flown) -> str:
+def _flown_by(flight: SurveyFlight) -> str:
     drone = printable(flight.record.drone or "", _LONGEST_LABEL)
     return f"{drone} ({flight.vehicle})" if drone and flight.vehicle else drone or flight.vehicle
 
@@ -178,7 +178,7 @@ def _note(note: str) -> Markup:
 # --- the map ------------------------------------------------------------------------------------------------
 
 
-def _map(site: SiteMap, drawn: DrawnMap, album: Album, *, number: int, of: int) -> Markup:
+def _map(site: SiteMap, drawn: DrawnMap, album: DocumentPictures, *, number: int, of: int) -> Markup:
     said: list[str] = ["North is up."]
     if site.objects:
         said.append("The numbers are those of the table, and a ring is the radius there.")
@@ -199,7 +199,7 @@ def _map(site: SiteMap, drawn: DrawnMap, album: Album, *, number: int, of: int) 
 # --- what else there is -------------------------------------------------------------------------------------
 
 
-def _without_findings(survey: Survey, album: Album) -> Iterator[Markup]:
+def _without_findings(survey: Survey, album: DocumentPictures) -> Iterator[Markup]:
     told = survey.with_findings
     empty = [photo for photo in survey.photographs if photo.key not in told]
     shown = [photo for photo in empty if photo.key in album.thumbnails]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from upwash.report.client.album import Album
+from upwash.report.client.album import DocumentPictures
 from upwash.report.client.sitemap import ink_on
-from upwash.report.client.survey import Inspected, Look, Survey
+from upwash.report.client.survey import Inspected, ShownSighting, Survey
 from upwash.report.client.words import Word, Words
 from upwash.report.gallery import coordinates, outlined
 from upwash.report.markup import Markup, element, joined
@@ -22,7 +22,7 @@ _MOST_LISTED = 40  # numbers in a row
 _STYLES = {"No.": "no", "Label": "words", "Severity": "words", "Numbers": "numbers"}  # of columns
 
 
-def draw_objects(survey: Survey, album: Album, words: Words) -> Iterator[Markup]:
+def draw_objects(survey: Survey, album: DocumentPictures, words: Words) -> Iterator[Markup]:
     """The sections about what was found."""
     if not survey.objects:
         yield _section("Objects", element("p", "Nothing was found on the photos."))
@@ -76,7 +76,7 @@ def _by_label(survey: Survey, words: Words) -> Markup:
     return joined(_whole("Objects by label", heads, rows), *([note] if more else []))
 
 
-def _table(survey: Survey, album: Album, words: Words) -> Markup:
+def _table(survey: Survey, album: DocumentPictures, words: Words) -> Markup:
     severity = ["Severity"] if words.severities else []
     ground = ["Ground"] if survey.knows_the_ground else []
     shown = survey.objects[:_MOST_ROWS]
@@ -137,7 +137,7 @@ class _Cards:
     """Draws objects with their pictures; a photo that several objects are on is in the document once."""
 
     survey: Survey
-    album: Album
+    album: DocumentPictures
     words: Words
     drawn: set[str] = field(default_factory=set)
 
@@ -158,7 +158,7 @@ class _Cards:
             id=f"object-{each.name}",
         )
 
-    def _crop(self, each: Inspected, index: int, look: Look) -> Markup:
+    def _crop(self, each: Inspected, index: int, look: ShownSighting) -> Markup:
         crop, box = self.album.crops.get((each.name, index)), look.finding.box
         if crop is None or box is None:
             return Markup()
@@ -166,7 +166,7 @@ class _Cards:
         drawn = outlined(box, crop, f"crop-{each.name}-{index}")
         return _figure(drawn, f"{look.title}: {self.survey.taken(look.photo)}{score}")
 
-    def _photo(self, look: Look) -> Iterator[Markup]:
+    def _photo(self, look: ShownSighting) -> Iterator[Markup]:
         photo, box = self.album.photos.get(look.photo), look.finding.box
         if photo is not None and box is not None:
             name = "photo-{}-{}".format(*look.photo)

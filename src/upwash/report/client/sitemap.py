@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from upwash.core.geo import Position
-from upwash.report.client.album import Album
+from upwash.report.client.album import DocumentPictures
 from upwash.report.client.labels import Spot, place_labels
 from upwash.report.client.mosaic import Bounds
 from upwash.report.client.survey import Inspected, Photograph, Survey
@@ -28,7 +28,7 @@ _FOOT = 40.0  # below the ground, for the scale
 
 
 @dataclass(frozen=True, slots=True)
-class Site:
+class SurveyedSite:
     """Flights over the same ground; Places are counted from the home of the flight `first`."""
 
     first: int
@@ -54,7 +54,7 @@ class DrawnMap:
     unnumbered: int
 
 
-def sites_of(survey: Survey) -> list[Site]:
+def sites_of(survey: Survey) -> list[SurveyedSite]:
     """The flights by where they began, in their order."""
     sites: list[tuple[int, list[int]]] = []
     for flight in range(len(survey.flights)):
@@ -64,7 +64,7 @@ def sites_of(survey: Survey) -> list[Site]:
                 break
         else:
             sites.append((flight, [flight]))
-    return [Site(first, flights) for first, flights in sites]
+    return [SurveyedSite(first, flights) for first, flights in sites]
 
 
 class SiteMap:
@@ -73,7 +73,7 @@ class SiteMap:
     A metre of the ground is `scale` units of the map.
     """
 
-    def __init__(self, survey: Survey, site: Site) -> None:
+    def __init__(self, survey: Survey, site: SurveyedSite) -> None:
         self._survey = survey
         self.site = site
         self.photographs = [photo for flight in site.flights for photo in survey.flights[flight].photographs]
@@ -113,7 +113,7 @@ class SiteMap:
         east_m, north_m = self._survey.offset_m(flight, self.site.first)
         return place.east_m + east_m, place.north_m + north_m
 
-    def draw(self, mosaic: bytes | None, album: Album, words: Words) -> DrawnMap:
+    def draw(self, mosaic: bytes | None, album: DocumentPictures, words: Words) -> DrawnMap:
         """The map over the mosaic of the photos; missing photos are outlines, and photos without corners dots."""
         width, height = self._size
         points, beyond = self._points()
@@ -159,7 +159,7 @@ class SiteMap:
                 beyond.append(each.name)
         return points, beyond
 
-    def _ground(self, mosaic: bytes | None, album: Album) -> Iterator[Markup]:
+    def _ground(self, mosaic: bytes | None, album: DocumentPictures) -> Iterator[Markup]:
         width, height = self._size
         if mosaic is not None:
             size = {"width": width, "height": height}

@@ -13,7 +13,7 @@ from upwash.eventlog import schema
 from upwash.report.findings import Finding, TakenPhoto
 from upwash.report.numbering import PlacedFinding, are_a_fleet, offset_m, sureness
 from upwash.report.record import Record, reviewed_of
-from upwash.report.reviewed import Tally
+from upwash.report.reviewed import ReviewTally
 from upwash.support.text import clock
 
 PhotoKey: TypeAlias = tuple[int, int]  # the flight, and the photo's number there
@@ -34,7 +34,7 @@ class Photograph:
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
+class SurveyFlight:
     """A flight: what its log tells, the vehicle, "" if unknown, and the photos."""
 
     record: Record
@@ -43,7 +43,7 @@ class Flown:
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class ShownSighting:
     """A sighting of an object, the photo that it is on, and what the document calls it."""
 
     finding: Finding
@@ -57,7 +57,7 @@ class Inspected:
 
     name: str
     found: PlacedFinding
-    looks: Sequence[Look]
+    looks: Sequence[ShownSighting]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,11 +67,11 @@ class Survey:
     `tally` says how much of it was reviewed.
     """
 
-    flights: Sequence[Flown]
+    flights: Sequence[SurveyFlight]
     objects: Sequence[Inspected]
     with_findings: Set[PhotoKey]  # the photos
     are_one_list: bool
-    tally: Tally
+    tally: ReviewTally
 
     @property
     def photographs(self) -> list[Photograph]:
@@ -110,7 +110,7 @@ def survey_of(records: Sequence[Record]) -> Survey:
     """The flights of these records as the client's document tells them, without rejected findings."""
     found = reviewed_of(records)
     are_one_list = len(records) == 1 or are_a_fleet([flight.drone for flight in found.flights])
-    looks: dict[int, list[Look]] = defaultdict(list)
+    looks: dict[int, list[ShownSighting]] = defaultdict(list)
     with_findings = set[PhotoKey]()
     for number, flight in enumerate(found.flights):
         for finding, position in zip(flight.found, found.positions[number], strict=True):
@@ -119,7 +119,7 @@ def survey_of(records: Sequence[Record]) -> Survey:
                 continue
             with_findings.add((number, finding.photo.number))
             if finding.box is not None:
-                looks[position].append(Look(of.sighting(finding), (number, finding.photo.number)))
+                looks[position].append(ShownSighting(of.sighting(finding), (number, finding.photo.number)))
     flown = [_flown(number, record) for number, record in enumerate(records)]
     again = {photo.key for flight in flown for photo in flight.photographs if photo.taken.is_again}
     objects = []
@@ -130,7 +130,7 @@ def survey_of(records: Sequence[Record]) -> Survey:
     return Survey(flown, objects, with_findings, are_one_list, found.tally)
 
 
-def _best_looks(sightings: Sequence[Look], again: Set[PhotoKey]) -> list[Look]:
+def _best_looks(sightings: Sequence[ShownSighting], again: Set[PhotoKey]) -> list[ShownSighting]:
     """The surest sighting, and the surest on a photo taken `again` from lower down, or else on another photo."""
     surest = sorted(sightings, key=lambda look: sureness(look.finding), reverse=True)
     seconds = [look for look in surest if look.photo in again]
@@ -144,7 +144,7 @@ def _best_looks(sightings: Sequence[Look], again: Set[PhotoKey]) -> list[Look]:
     return [*looks, *(replace(look, title="Another sighting") for look in others[:1])]
 
 
-def _flown(index: int, record: Record) -> Flown:
+def _flown(index: int, record: Record) -> SurveyFlight:
     found = [event for event in record.events if isinstance(event, schema.VehicleFound)]
     vehicle = f"{found[-1].firmware} {found[-1].type}" if found else ""
     photographs, flight = [], record.flight
@@ -152,4 +152,4 @@ def _flown(index: int, record: Record) -> Flown:
         taken_s = event.t - event.age_s
         key, time = (index, taken.number), flight.time_of_day(taken_s)
         photographs.append(Photograph(key, taken, taken_s - record.began_s, time, taken.corners_m))
-    return Flown(record, vehicle, photographs)
+    return SurveyFlight(record, vehicle, photographs)

@@ -14,9 +14,9 @@ from upwash.services.darknet.heads import HEADS_METADATA, Head, encode_heads
 from upwash.services.darknet.layers import (
     Activation,
     Convolutional,
+    DarknetNetwork,
     Layer,
     MaxPool,
-    Network,
     Route,
     Shortcut,
     Upsample,
@@ -34,7 +34,7 @@ INPUT = "picture"  # 1, 3, height, width: red, green, blue from 0 to 1
 _ACTIVATION_NODES = {"leaky": "LeakyRelu", "relu": "Relu", "logistic": "Sigmoid"}
 
 
-def build_model(network: Network, numbers: str) -> onnx.ModelProto:
+def build_model(network: DarknetNetwork, numbers: str) -> onnx.ModelProto:
     """The model, for any input size that its largest stride divides; `numbers` names the file beside it."""
     import onnx
     from onnx import TensorProto, helper
@@ -58,7 +58,7 @@ def build_model(network: Network, numbers: str) -> onnx.ModelProto:
     return model
 
 
-def _parameters(network: Network, numbers: str) -> Iterator[onnx.TensorProto]:
+def _parameters(network: DarknetNetwork, numbers: str) -> Iterator[onnx.TensorProto]:
     from onnx import StringStringEntryProto, TensorProto
 
     offset = 0
@@ -80,14 +80,14 @@ def _parameters(network: Network, numbers: str) -> Iterator[onnx.TensorProto]:
             offset += length
 
 
-def heads_of(network: Network) -> Iterator[Head]:
+def heads_of(network: DarknetNetwork) -> Iterator[Head]:
     """The heads of a network."""
     for layer in network.heads:
         assert isinstance(layer.operator, Yolo)  # noqa: S101 - heads are Yolo layers
         yield Head(output=output_of(layer), stride=layer.output.stride, anchors=layer.operator.anchors)
 
 
-def _nodes(layer: Layer, network: Network) -> Iterator[onnx.NodeProto]:
+def _nodes(layer: Layer, network: DarknetNetwork) -> Iterator[onnx.NodeProto]:
     from onnx import helper
 
     before, output = input_of(layer, network), output_of(layer)
@@ -143,7 +143,7 @@ def _activated(
         yield helper.make_node(_ACTIVATION_NODES[activation], [linear], [output], **slope)
 
 
-def input_of(layer: Layer, network: Network) -> str:
+def input_of(layer: Layer, network: DarknetNetwork) -> str:
     """The name of the output of the layer before."""
     return output_of(network.layers[layer.index - 1]) if layer.index else INPUT
 

@@ -108,7 +108,7 @@ class Layer:
 
 
 @dataclass(frozen=True, slots=True)
-class Network:
+class DarknetNetwork:
     """The layers of a cfg, which takes pictures of three channels."""
 
     layers: tuple[Layer, ...]
@@ -119,7 +119,7 @@ class Network:
         return tuple(layer for layer in self.layers if isinstance(layer.operator, Yolo))
 
 
-def read_network(file: Path, content: bytes) -> Network:
+def read_network(file: Path, content: bytes) -> DarknetNetwork:
     """The network of a cfg's content; raises ModelError, with the layer, for what cannot be computed exactly."""
     sections = read_sections(file, content)
     if not sections or sections[0].name not in ("net", "network"):
@@ -129,7 +129,7 @@ def read_network(file: Path, content: bytes) -> Network:
     for index, section in enumerate(sections[1:]):
         section.where = f"layer {index}, {section.where}"
         layers.append(_read_layer(section, layers))
-    network = Network(tuple(layers))
+    network = DarknetNetwork(tuple(layers))
     if not network.heads:
         raise ModelError(file, "", "it has no [yolo] layer, so it detects nothing: name a detector's cfg")
     if len({head.operator.classes for head in network.heads if isinstance(head.operator, Yolo)}) > 1:

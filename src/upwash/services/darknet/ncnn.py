@@ -13,9 +13,9 @@ from upwash.services.darknet.graph import INPUT, LEAKY_SLOPE, input_of, output_o
 from upwash.services.darknet.layers import (
     Activation,
     Convolutional,
+    DarknetNetwork,
     Layer,
     MaxPool,
-    Network,
     Route,
     Shortcut,
     Upsample,
@@ -28,7 +28,7 @@ _ACTIVATIONS = {"linear": "", "leaky": f"9=2 -23310=1,{LEAKY_SLOPE}", "relu": "9
 _ACTIVATION_LAYERS = {"leaky": ("ReLU", f"0={LEAKY_SLOPE}"), "relu": ("ReLU",), "logistic": ("Sigmoid",)}
 
 
-def describe(network: Network) -> str:
+def describe(network: DarknetNetwork) -> str:
     """The text of layers."""
     lines: list[str] = []
     blobs = 0
@@ -42,7 +42,7 @@ def describe(network: Network) -> str:
 _Entry = tuple[str, list[str], list[str], list[str]]  # kind, inputs, outputs, options
 
 
-def _layers(network: Network) -> Iterator[_Entry]:
+def _layers(network: DarknetNetwork) -> Iterator[_Entry]:
     yield "Input", [], [INPUT], []
     for layer in network.layers:
         before, output = input_of(layer, network), [output_of(layer)]

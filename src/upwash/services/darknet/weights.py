@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from upwash.errors import ModelError
-from upwash.services.darknet.layers import Convolutional, Layer, Network
+from upwash.services.darknet.layers import Convolutional, DarknetNetwork, Layer
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,7 +36,7 @@ class Parameters:
 class WeightsFile:
     """The weights of a network, read convolution by convolution to save memory."""
 
-    def __init__(self, file: Path, network: Network) -> None:
+    def __init__(self, file: Path, network: DarknetNetwork) -> None:
         """Raise ModelError, with layer and offset, if the length of the file does not fit the network."""
         import numpy as np
 

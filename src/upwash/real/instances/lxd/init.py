@@ -15,7 +15,7 @@ import socket
 import subprocess
 
 from upwash.core.admission.limits import Allowance
-from upwash.real.instances.control import Failed, Printed, ServiceEnded, line
+from upwash.real.instances.control import InstanceFailed, Printed, ServiceEnded, line
 from upwash.real.instances.control_credentials import (
     CONTROL_PORT,
     SERVICE_PORT,
@@ -113,7 +113,7 @@ async def stand() -> None:
     problem = await asyncio.to_thread(close_off)
     hear, tell = await daemon(credentials)
     if problem:
-        tell.write(line(Failed(problem)))
+        tell.write(line(InstanceFailed(problem)))
         await tell.drain()
         tell.close()
         return
