@@ -16,7 +16,7 @@ import tomli_w
 from tests.children import processes
 from tests.programs import ROOT, UPWASH, ended, running, write_drone
 
-from upwash.cli.main import _COMMANDS, main
+from upwash.cli.main import main
 from upwash.config.daemon import read_daemon_config
 from upwash.core.camera.lens import Lens
 from upwash.core.geo import Position
@@ -299,14 +299,6 @@ def test_what_lies_where_the_program_is_started_is_not_installed(
     code, printed, complaint = upwash("found")
     assert (code, printed) == (2, "")
     assert complaint.startswith('upwash: unknown command "found"')
-
-
-def test_upwashs_own_entry_points_are_its_commands() -> None:
-    """Also where the metadata of another version is installed."""
-    declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"][
-        "upwash.commands"
-    ]
-    assert declared == {name: f"upwash.cli.{name}" for name in _COMMANDS}
 
 
 # --- an engine that fails, and a camera in flight -----------------------------------------------------------------

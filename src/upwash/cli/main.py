@@ -1,7 +1,7 @@
 """The command line: which commands there are, and how each of them ends.
 
-A command is an entry point of the group `upwash.commands`, upwash's own and those of plug-ins alike: a module with
-`ARGUMENTS` and `run`. Only the module of the command that was typed is imported.
+A command is a module with `ARGUMENTS` and `run`: of this room, or of a plug-in's entry point of the group
+`upwash.commands`. Only the module of the command that was typed is imported.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ import functools
 import os
 import sys
 from collections.abc import Collection, Sequence
+from importlib import import_module
+from typing import Any
 
 from upwash.cli.exit_codes import ExitCode
 from upwash.errors import (
@@ -177,22 +179,24 @@ def _helps_of_plug_ins() -> dict[str, str]:
 
 def _complete(command: argparse.ArgumentParser, name: str) -> None:
     """Gives the parser of a command its arguments; raises UsageError."""
-    entry = find(COMMANDS, name)
-    if entry is None:
+    if name in _COMMANDS:
+        _set(command, name, import_module(f"upwash.cli.{name}"))
+    elif (entry := find(COMMANDS, name)) is not None:
+        module = load(entry)
+        with failing(COMMANDS, name, f"of {origin(entry)} has no usable ARGUMENTS and run", UsageError):
+            _set(command, name, module)
+    else:
         from upwash.config.problems import unknown  # only needed for errors
 
-        if name in _COMMANDS:
-            raise UsageError(
-                f"the command {name!r} is not installed: this upwash lacks its metadata; install it again"
-            )
         raise UsageError(unknown("command", name, dict.fromkeys((*_COMMANDS, *names(COMMANDS)))))
-    module = load(entry)
+
+
+def _set(command: argparse.ArgumentParser, name: str, module: Any) -> None:
     from upwash.cli.arguments import add_options  # which the version and the help do without
 
-    with failing(COMMANDS, name, f"of {origin(entry)} has no usable ARGUMENTS and run", UsageError):
-        named = tuple(add_options(command, module.ARGUMENTS))
-        command.epilog = getattr(module, "EPILOG", None)
-        command.set_defaults(run=module.run, command=name, named=named)
+    named = tuple(add_options(command, module.ARGUMENTS))
+    command.epilog = getattr(module, "EPILOG", None)
+    command.set_defaults(run=module.run, command=name, named=named)
 
 
 def _add_verbose(parser: argparse.ArgumentParser, *, default: object) -> None:

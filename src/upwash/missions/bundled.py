@@ -19,6 +19,8 @@ from upwash.support.entry_points import SERVICES, find, names
 if TYPE_CHECKING:  # which a daemon does not load
     from upwash.config.drone import ServiceConfig
 
+_BUNDLED = {"detector": "upwash.services:Detector"}
+
 ConfiguredService: TypeAlias = "ServiceConfig | ImageConfig"
 
 
@@ -102,10 +104,12 @@ def _path_beside(path: str, part: type) -> str:
 
 def installed_service(name: str) -> str:
     """The path of the class that upwash or a plug-in brings under that name; raises UsageError."""
+    if name in _BUNDLED:
+        return _BUNDLED[name]
     found = find(SERVICES, name)
     if found is None:
         raise UsageError(
-            f"service {name!r} needs a program, path/to/file.py:Class or package.module:Class; "
-            f"bundled or of a plug-in, and without one, there is only: {', '.join(names(SERVICES))}"
+            f"service {name!r} needs a program, path/to/file.py:Class or package.module:Class; bundled or of a "
+            f"plug-in, and without one, there is only: {', '.join((*_BUNDLED, *names(SERVICES)))}"
         )
     return found.value

@@ -1,8 +1,8 @@
 """Plug-ins: what installed distributions bring to the program, by the entry points of their metadata.
 
 A plug-in is code that a person installed here. The program loads it when a command line or a configuration names it,
-and by that name alone: nothing of a log or of the network leads to code. upwash's own parts are entry points too, and
-are looked for first: no plug-in replaces one, and none that is broken stops one.
+and by that name alone: nothing of a log or of the network leads to code. Callers look for upwash's own parts first:
+no plug-in replaces one, and none that is broken stops one.
 """
 
 from __future__ import annotations
@@ -34,9 +34,8 @@ _NOUNS = {
 
 
 def find(point: str, name: str) -> EntryPoint | None:
-    """The entry point of that name, upwash's own first; None without one. UsageError where two plug-ins claim it."""
-    own = [each for each in _own(point) if each.name == name]
-    claims = own or [each for each in plug_ins(point) if each.name == name]
+    """The entry point of that name; None without one. Raises UsageError where two plug-ins claim it."""
+    claims = [each for each in plug_ins(point) if each.name == name]
     if len(claims) > 1:
         claimed = " and by ".join(map(origin, claims))
         raise UsageError(f"the {_NOUNS[point]} {name!r} is claimed by {claimed}: uninstall one of them")
@@ -44,17 +43,17 @@ def find(point: str, name: str) -> EntryPoint | None:
 
 
 def plug_ins(point: str) -> list[EntryPoint]:
-    """What others than upwash bring at that point, in the order of the names; nothing of it is loaded."""
+    """What is installed for that point, in the order of the names; nothing of it is loaded."""
     found: dict[tuple[str, str], EntryPoint] = {}
     for each in _distributions():
         for entry in _entry_points(each, point):
             found.setdefault((entry.name, each.name), entry)  # an installation that stands later is hidden
-    return [entry for (_, name), entry in sorted(found.items()) if name != "upwash"]
+    return [entry for _, entry in sorted(found.items(), key=lambda claim: claim[0])]
 
 
 def names(point: str) -> list[str]:
     """What `find` knows at that point."""
-    return list(dict.fromkeys(entry.name for entry in (*_own(point), *plug_ins(point))))
+    return list(dict.fromkeys(entry.name for entry in plug_ins(point)))
 
 
 def plug_in(point: str, name: str) -> Any:
@@ -109,11 +108,6 @@ def summary(entry: EntryPoint) -> str:
     return (entry.dist and entry.dist.metadata["Summary"]) or ""
 
 
-def _own(point: str) -> list[EntryPoint]:
-    upwash = next(_distributions(name="upwash"), None)
-    return _entry_points(upwash, point) if upwash else []
-
-
 def _entry_points(distribution: Distribution, point: str) -> list[EntryPoint]:
     """The entry points of one distribution at that point; an empty list where its metadata cannot be read."""
     with contextlib.suppress(ValueError, OSError):
@@ -122,10 +116,10 @@ def _entry_points(distribution: Distribution, point: str) -> list[EntryPoint]:
     return []
 
 
-def _distributions(name: str | None = None) -> Iterator[Distribution]:
+def _distributions() -> Iterator[Distribution]:
     """What is installed; what lies in the folder where the program was started is not."""
     from importlib.metadata import distributions
 
     here = os.path.realpath(os.curdir)
     places = [place for place in sys.path if place and os.path.realpath(place) != here]
-    return iter(distributions(name=name, path=places))
+    return iter(distributions(path=places))
