@@ -18,6 +18,7 @@ from upwash.eventlog.results import CallResult
 from upwash.eventlog.schema import Foreseen
 from upwash.lab.run import Run, simulate
 from upwash.rpc.service import service, spec_of
+from upwash.support.text import lasting
 
 
 class Plain:
@@ -175,4 +176,4 @@ def test_a_person_is_alarmed_only_where_the_mission_cannot_be_over_in_time(
     (foreseen,) = (event for event in fly(finish_by_s).events if isinstance(event, Foreseen))
     said = Narrator().tell(foreseen)
     assert said is not None and said.tone is tone
-    assert f"{finish_by_s:g}" in said.text
+    assert lasting(finish_by_s) in said.text

@@ -99,7 +99,7 @@ def test_a_flight_that_was_not_completed_is_in_no_mean(tmp_path: Path) -> None:
 
 def test_equal_missions_have_no_confidence(tmp_path: Path) -> None:
     equal = flown(tmp_path, [("a", seed, 10.0) for seed in range(3)])
-    assert verdict(equal) == "3 flights, all completed; the mission took on average 10.0\u00a0s with a."
+    assert verdict(equal) == "3 flights, all completed; the mission took on average 10.0 s with a."
 
 
 def logs_of(folder: Path, flights: Sequence[tuple[str, int, float]]) -> list[Path]:
