@@ -388,7 +388,7 @@ async def test_its_status_shows_an_operator_leases_instances_refusals_and_certif
         r"heron: has a slot for \d+ s, counts as having had \d+ s; lease ends in \d+ s, certificate \w{16}",
         r"stork: waits for \d+ s, counts as having had \d+ s",
         r"workbench +running +:\d+",
-        r"unstartable +absent",
+        r"unstartable +starts on demand",
         r"1 +s1 +stork +s1 has no free slot: 1 of 1 in use",
         r"certificate of s1: valid until 20\d\d-\d\d-\d\d, 7\d\d days",
     ):

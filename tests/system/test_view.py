@@ -76,10 +76,11 @@ def test_any_moment_of_a_flight_is_shown_as_the_log_has_it(
         label = page.find(".lanes canvas").get_attribute("aria-label") or ""
         assert f"{calls} calls" in label
         for server, state, *_ in page.rows(".servers"):
+            stretches = record.stretches[server]
             (now,) = [
-                stretch.state for stretch in record.stretches[server]
+                stretch.state for stretch in stretches
                 if stretch.from_s <= round(at_s, 1) + 1e-6 and (
-                    round(at_s, 1) + 1e-6 < stretch.to_s or stretch is record.stretches[server][-1]
+                    round(at_s, 1) + 1e-6 < stretch.to_s or stretch is stretches[-1]
                 )
             ]  # fmt: skip
             assert state.startswith(STATE_WORDS[now])

@@ -28,7 +28,7 @@ _FAILURES = (schema.CheckFailed, schema.NetworkLost, *_BY_CALLS)
 
 
 @service(profile_by="key")
-class FlownServices:
+class Flown:
     """Stands for the services of a log: a call has the delay of its operation, the `key`."""
 
     def call(self, photo: bytes, key: str) -> list[str]:
@@ -41,7 +41,7 @@ def fly_again(drone: Drone, mode: str) -> None:
 
     `mode` is the operation of one call at each waypoint, or JSON: for each waypoint the operations of its calls.
     """
-    flown = drone.service(FlownServices)
+    flown = drone.service(Flown)
     stops = msgspec.json.decode(mode, type=list[list[str]]) if mode.startswith("[") else None
     drone.autopilot.arm()
     drone.autopilot.takeoff(drone.altitude_m)

@@ -64,7 +64,7 @@ class Thumbnail:
 
 
 @service(profile_by="mode", before_sending=Thumbnail)
-class NumberReader:
+class Spotter:
     """Reads the digits of a number, except of every fifth number."""
 
     def look(self, number: int, mode: Mode, picture: bytes = _PICTURE) -> NumberRead:
@@ -132,13 +132,13 @@ def is_hasty(number: int) -> bool:
 
 def look(drone: Drone, mode: Mode) -> None:
     """Has one number looked at, at each waypoint."""
-    spotter = drone.service(NumberReader)
+    spotter = drone.service(Spotter)
     _survey(drone, lambda number: spotter.look(number, mode), calls=1)
 
 
 def look_and_read(drone: Drone, mode: Mode) -> None:
     """Calls both services at each waypoint."""
-    spotter, gauge = drone.service(NumberReader), drone.service(Gauge)
+    spotter, gauge = drone.service(Spotter), drone.service(Gauge)
 
     def ask(number: int) -> object:
         return gauge.read(number) if number % 2 else spotter.look(number, mode)
@@ -148,7 +148,7 @@ def look_and_read(drone: Drone, mode: Mode) -> None:
 
 def look_later(drone: Drone, mode: Mode, *, program: str = "look_later") -> None:
     """Has one number looked at, at each waypoint, and may fly on meanwhile; some answers demand an action there."""
-    spotter = drone.service(NumberReader)
+    spotter = drone.service(Spotter)
     for number, waypoint in visits(drone):
         drone.camera.take_photo()
         visit = _Visit(drone, waypoint, number, program)
@@ -177,7 +177,7 @@ def look_and_read_on_the_move(drone: Drone, mode: Mode) -> None:
 
 
 def _look_on_the_move(drone: Drone, mode: Mode, *, gauge: Gauge | None, program: str) -> None:
-    spotter = drone.service(NumberReader)
+    spotter = drone.service(Spotter)
 
     def ask(number: int) -> object:
         return gauge.read(number) if gauge is not None and number % 2 else spotter.look(number, mode)
@@ -256,7 +256,7 @@ def expected(program: str, mode: Mode, number: int) -> CallReport:
     """What a mission of this module must hear when it asks about the number."""
     both = "look_and_read" in program
     ask: Callable[[], object] = (
-        (lambda: Gauge().read(number)) if both and number % 2 else (lambda: NumberReader().look(number, mode))
+        (lambda: Gauge().read(number)) if both and number % 2 else (lambda: Spotter().look(number, mode))
     )
     return _hear(number, ask)
 

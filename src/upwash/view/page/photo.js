@@ -32,6 +32,7 @@ export class PhotoCard {
     this.element.firstElementChild.className = "unseen";
     this.image.addEventListener("load", () => this.#outline());
     this.image.addEventListener("error", () => this.#lose());
+    new ResizeObserver(() => this.#redraw()).observe(this.frame); // labels have no width while the dock is closed
   }
 
   show(moment, current) {
@@ -78,6 +79,11 @@ export class PhotoCard {
     const open = this.#open.some(({ waypoint }) => waypoint === shot.waypoint) ? " Its answer is not there." : "";
     const file = /\.\w+$/.test(shot.source) ? `, from ${shot.source}` : ""; // what has no file has no name that people know
     return `Photo ${shot.number + 1}, ${where}${file}.${said}${open}${missing}`;
+  }
+
+  #redraw() {
+    this.#boxes = "";
+    this.#outline();
   }
 
   #outline() {
