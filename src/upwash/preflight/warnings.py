@@ -214,10 +214,10 @@ def _time_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> It
     ]
     if late:
         given = config.mission.finish_by_s is not None
-        limit = "mission.finish_by_s =" if given else "what the battery allows,"
+        limit = f"mission.finish_by_s = {by_s:g}" if given else "what the battery allows"
         yield PreflightWarning(
             "late",
-            f"{limit} {lasting(by_s)} is not kept, as lighter calls do not save enough: {', '.join(late)}",
+            f"{limit} ({lasting(by_s)}) is not kept, as lighter calls do not save enough: {', '.join(late)}",
         )
 
 
