@@ -49,6 +49,11 @@ def test_promises_hold_in_known_worlds(first: int) -> None:
     assert_kept(range(first, first + CHUNK))
 
 
+def test_an_answer_that_waited_for_its_act_is_not_of_the_last_call() -> None:
+    """It was raised on the drone before a server answered the next call."""
+    assert_kept(range(739950586, 739950587))
+
+
 @pytest.mark.nightly  # as its verdict is another each day
 @pytest.mark.parametrize("chunk", range(WORLDS // CHUNK))
 def test_promises_hold_in_worlds_of_the_day(chunk: int) -> None:

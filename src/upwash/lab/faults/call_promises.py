@@ -217,14 +217,17 @@ def _raised_afar(history: History) -> Iterator[Breach]:
     """Exceptions that a server reported and the mission received."""
     on_rows = history.flies_rows or _acts_later(history)
     servers: dict[int | None, str | None] = {}  # that answered the last call, or that of a waypoint
+    latest = -1  # the last call that the mission heard of
     for event in history.run.events:
         if isinstance(event, schema.Call):
             servers[event.waypoint if on_rows else None] = event.server
-        elif (heard := _heard(event)) is None:
-            continue
-        elif (server := servers.get(heard.asked if on_rows else None)) and heard.raised:
-            why = f"the mission heard what {server} said was raised; the drone's own service was not asked"
-            yield event, why
+        elif (heard := _heard(event)) is not None and (on_rows or heard.asked >= latest):
+            latest = heard.asked  # an earlier call, whose answer waited for its act, is not the last
+            if (server := servers.get(heard.asked if on_rows else None)) and heard.raised:
+                why = (
+                    f"the mission heard what {server} said was raised; the drone's own service was not asked"
+                )
+                yield event, why
 
 
 def _told(history: History) -> Iterator[tuple[Event, probing.CallReport]]:
