@@ -306,6 +306,29 @@ def test_while_a_target_is_on_its_way_the_one_before_is_no_difference() -> None:
     assert latch.control.owner is Owner.GROUND_STATION
 
 
+def test_a_target_whose_answer_nobody_waited_for_may_be_reported_until_the_next_is_obeyed() -> None:
+    """A leg that a brake cuts short, on a link whose answers come late."""
+    latch = sent(HERE, claimed(flying=True))
+    latch.expect_target(THERE)  # the wait for its answer is cancelled
+    latch.expect_target(HERE)
+    latch.report_target(THERE, 3.0)
+    assert latch.control.is_ours
+    latch.settle_target(obeyed=True)
+    latch.report_target(THERE, 4.0)
+    assert latch.control.owner is Owner.GROUND_STATION
+
+
+def test_a_target_that_is_refused_does_not_undo_one_before_it_that_may_have_been_obeyed() -> None:
+    latch = sent(HERE, claimed(flying=True))
+    latch.expect_target(THERE)  # the wait for its answer is cancelled
+    latch.expect_target(ELSEWHERE)
+    latch.settle_target(obeyed=False)
+    latch.report_target(THERE, 3.0)
+    assert latch.control.is_ours
+    latch.report_target(ELSEWHERE, 4.0)
+    assert latch.control.owner is Owner.GROUND_STATION
+
+
 def test_a_refused_target_leaves_the_one_before() -> None:
     latch = sent(THERE, sent(HERE, claimed(flying=True)), obeyed=False)
     latch.report_target(HERE, 3.0)

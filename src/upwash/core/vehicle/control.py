@@ -24,6 +24,52 @@ from upwash.core.geo import Position, distance_m
 from upwash.errors import AutopilotOverruled
 
 _SAME_PLACE_M = 1.0  # a vehicle keeps a target in metres from its own origin, and rounds it
+_MOST_PENDING = 4  # commands to places in a row without an answer
+
+
+class Targets:
+    """Compares reported targets with commands: a report must agree with the last obeyed command, or one after it.
+
+    Altitudes of commands and of reports count from the same place. Before the first command, the first report is the
+    target of an earlier program, and no difference. A command whose answer was not awaited may have been obeyed.
+    """
+
+    def __init__(self) -> None:
+        # The last command, and those sent since: () without one, None for a take-off, which reports no target.
+        self._obeyed: tuple[Position | None, ...] = ()
+        self._pending: tuple[Position | None, ...] = ()
+
+    def send(self, place: Position | None) -> None:
+        """Note that a command to `place` is about to be sent; None for a take-off, which has no target."""
+        if place not in self._pending[-1:]:  # else it is sent again
+            self._pending = (*self._pending, place)[-_MOST_PENDING:]
+
+    def settle(self, *, obeyed: bool) -> None:
+        """Note whether the vehicle obeyed the last command or refused it."""
+        if obeyed:
+            self._obeyed, self._pending = self._pending[-1:] or self._obeyed, ()
+        else:
+            self._pending = self._pending[:-1]
+
+    def difference(self, reported: Position | None) -> str:
+        """How a reported target, None for a velocity, differs from the commands; "" if it does not."""
+        if not self._obeyed:
+            if reported is not None and not self._pending:
+                self._obeyed = (reported,)
+            return ""
+        if reported is None:
+            return "" if self._pending else "it follows a velocity that the program did not command"
+        expected = (*self._obeyed, *self._pending)
+        if any(place is not None and distance_m(place, reported) <= _SAME_PLACE_M for place in expected):
+            return ""
+        there = f"{reported.east_m:.0f} m east, {reported.north_m:.0f} m north"
+        (obeyed,) = self._obeyed
+        if obeyed is None:
+            return f"it was sent to {there}, which the program did not command"
+        apart_m = distance_m(obeyed, reported)
+        return f"it was sent to {there}, {apart_m:.0f} m from where the program sent it"
+
+
 _KNOWN_LATE_S = 1.0  # after the mode, that the remote control moved
 
 
@@ -146,9 +192,7 @@ class Latch:
         self._modes_ahead: tuple[str, ...] = ()  # those that the command on its way leads to, in order
         self._armed = False
         self._armed_ahead: bool | None = None
-        # Where the last obeyed command led, and the one on its way: () without one, None for a take-off.
-        self._obeyed: tuple[Position | None, ...] = ()
-        self._pending: tuple[Position | None, ...] = ()
+        self._targets = Targets()
 
     def claim(self, now_s: float, *, own_mode: str, resumes: bool, ordered_mode: str = "") -> None:
         """Claim the vehicle for the program, if law 2 allows it; `control` has the result, and why.
@@ -187,13 +231,11 @@ class Latch:
 
     def expect_target(self, place: Position | None) -> None:
         """Note that a command to this place is about to be sent; None for a take-off, straight up."""
-        self._pending = (place,)
+        self._targets.send(place)
 
     def settle_target(self, *, obeyed: bool) -> None:
         """Note whether the vehicle obeyed or refused the last command to a place."""
-        if obeyed:
-            self._obeyed = self._pending or self._obeyed
-        self._pending = ()
+        self._targets.settle(obeyed=obeyed)
 
     def withdraw(self) -> None:
         """Note that the command on its way was refused, and changes neither mode nor arming."""
@@ -203,34 +245,21 @@ class Latch:
         """Take in a heartbeat (laws 3 and 4)."""
         before, self._reported = self._reported, report
         if self.control.is_ours:
-            self._compare(report, now_s)
+            self._compare_arming(report, now_s)
+            # What has lost its motors may go back to the mode that it begins with: no pilot's switch.
+            if self.control.is_ours or report.failsafe:
+                self._compare_mode(report, now_s)
         elif before is not None:
-            if report.armed and not before.armed:
-                self._take(*_armed_or_disarmed(report), now_s)
-            lost = self.control
-            changed = (
-                report.armed and report.mode != before.mode
-            )  # disarmed it may go back to an earlier mode
-            if changed or (report.failsafe and report.failsafe != before.failsafe):  # the cause may come late
-                self._take_mode(report, now_s, "")
-            elif (
-                report.remote_moved
-                and report.mode != self._mode
-                and lost.owner is Owner.GROUND_STATION
-                and now_s - lost.since_s <= _KNOWN_LATE_S
-            ):
-                why = f"the vehicle is in mode {report.mode} (the remote control moved)"
-                self._take(ControlChange.REMOTE_MOVED, why, now_s)
+            self._compare_lost(before, report, now_s)
 
     def report_target(self, place: Position | None, now_s: float) -> None:
         """Take in the reported target (laws 3 and 4), while the vehicle is in the program's own mode.
 
-        None: the vehicle follows a velocity instead of a place. Altitudes of commands and of reports count from the
-        same place. Before the first command, the first report is the target of an earlier program, and no difference.
+        None: the vehicle follows a velocity instead of a place.
         """
         if not self.control.is_ours or not self._armed or self._modes_ahead:
             return
-        if difference := self._difference(place):
+        if difference := self._targets.difference(place):
             self._take(ControlChange.TARGET_CHANGED, difference, now_s)
 
     def report_restart(self, why: str, now_s: float) -> None:
@@ -239,17 +268,15 @@ class Latch:
             return
         self._take(ControlChange.RESTARTED, why, now_s)
 
-    def _compare(self, report: Heartbeat, now_s: float) -> None:
+    def _compare_arming(self, report: Heartbeat, now_s: float) -> None:
         if report.armed == self._armed_ahead:
             self._armed, self._armed_ahead = report.armed, None
             if not report.armed:  # it stands, and may go back to the mode that it had before the flight
-                self._mode, self._modes_ahead, self._obeyed, self._pending = None, (), (), ()
+                self._mode, self._modes_ahead, self._targets = None, (), Targets()
         elif report.armed != self._armed:
             self._take(*_armed_or_disarmed(report), now_s)
-            if (
-                not report.failsafe
-            ):  # without motors it may go back to the mode that it begins with: no switch
-                return
+
+    def _compare_mode(self, report: Heartbeat, now_s: float) -> None:
         if report.mode in self._modes_ahead:
             past = self._modes_ahead.index(report.mode) + 1
             self._mode, self._modes_ahead = report.mode, self._modes_ahead[past:]
@@ -257,23 +284,17 @@ class Latch:
             commanded = self._modes_ahead[-1] if self._modes_ahead else self._mode
             self._take_mode(report, now_s, f", {commanded} was commanded")
 
-    def _difference(self, reported: Position | None) -> str:
-        """How a reported target differs from the last obeyed command and from the one after it; "" if it does not."""
-        if not self._obeyed:
-            if reported is not None and not self._pending:
-                self._obeyed = (reported,)
-            return ""
-        if reported is None:
-            return "" if self._pending else "it follows a velocity that the program did not command"
-        expected = (*self._obeyed, *self._pending)
-        if any(place is not None and distance_m(place, reported) <= _SAME_PLACE_M for place in expected):
-            return ""
-        there = f"{reported.east_m:.0f} m east, {reported.north_m:.0f} m north"
-        (obeyed,) = self._obeyed
-        if obeyed is None:
-            return f"it was sent to {there}, which the program did not command"
-        apart_m = distance_m(obeyed, reported)
-        return f"it was sent to {there}, {apart_m:.0f} m from where the program sent it"
+    def _compare_lost(self, before: Heartbeat, report: Heartbeat, now_s: float) -> None:
+        if report.armed and not before.armed:
+            self._take(*_armed_or_disarmed(report), now_s)
+        changed = report.armed and report.mode != before.mode  # disarmed it may go back to an earlier mode
+        if changed or (report.failsafe and report.failsafe != before.failsafe):  # the cause may come late
+            self._take_mode(report, now_s, "")
+        elif report.remote_moved and report.mode != self._mode:
+            lost = self.control
+            if lost.owner is Owner.GROUND_STATION and now_s - lost.since_s <= _KNOWN_LATE_S:
+                why = f"the vehicle is in mode {report.mode} (the remote control moved)"
+                self._take(ControlChange.REMOTE_MOVED, why, now_s)
 
     def _take_mode(self, report: Heartbeat, now_s: float, instead_of: str) -> None:
         if report.failsafe:
