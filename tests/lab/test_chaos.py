@@ -28,10 +28,15 @@ WORLDS, CHUNK = 1_000, 100  # of the same seeds every time, and as many of seeds
 
 
 def assert_kept(seeds: range) -> None:
+    assert sum(verdict.calls for verdict in judged(seeds)) > 2 * len(seeds)
+
+
+def judged(seeds: range) -> list[chaos.WorldVerdict]:
+    """The verdicts of the seeds, which broke no promise."""
     verdicts = judge_all(seeds)
     for verdict in verdicts:
         assert verdict.broken == [], f"see it again: upwash chaos --seed {verdict.seed} --log chaos.jsonl"
-    assert sum(verdict.calls for verdict in verdicts) > 2 * len(seeds)
+    return verdicts
 
 
 @pytest.mark.parametrize(
@@ -51,7 +56,12 @@ def test_promises_hold_in_known_worlds(first: int) -> None:
 
 def test_an_answer_that_waited_for_its_act_is_not_of_the_last_call() -> None:
     """It was raised on the drone before a server answered the next call."""
-    assert_kept(range(739950586, 739950587))
+    judged(range(739950586, 739950587))
+
+
+def test_a_way_back_leads_to_the_waypoint_behind_where_another_ahead_has_its_place() -> None:
+    """The drone stays at the last waypoint, which lies at the place of the first."""
+    judged(range(739950417, 739950418))
 
 
 @pytest.mark.nightly  # as its verdict is another each day

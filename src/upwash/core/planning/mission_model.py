@@ -154,8 +154,9 @@ class MissionModel:
         if ground_speed_m_s is not None:
             self._ground_speed_m_s = ground_speed_m_s
         if self._way is None or self._place != target or self._index is None:
-            following = 0 if self._index is None else self._index + 1  # or else an earlier waypoint there
-            order = itertools.chain(range(following, len(self._plan)), range(following))
+            following = 0 if self._index is None else self._index + 1
+            ahead, behind = range(following, len(self._plan)), range(following)
+            order = itertools.chain(reversed(behind), ahead) if back else itertools.chain(ahead, behind)
             self._index = next((index for index in order if self._plan[index].position == target), None)
         self._place, self._here = target, []
         self._last_leg_m, self._begun_s = distance_m(start, target), now_s
