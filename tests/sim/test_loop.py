@@ -16,7 +16,7 @@ from tests.scenarios import scenario
 from upwash.config.drone import DroneConfig
 from upwash.lab.run import simulate, simulate_drones
 from upwash.sim import turns
-from upwash.sim.loop import DeadlockError, LivelockError, OutsideWorldError, run_virtually
+from upwash.sim.loop import DeadlockError, LivelockError, OutsideWorldError, VirtualLoop, run_virtually
 from upwash.sim.turns import sleeps_reported
 
 
@@ -150,6 +150,23 @@ def test_a_mission_that_sleeps_is_warned_by_name(tmp_path: Path, call: str) -> N
     assert run.failure == ""
     assert run.result.mission_time_s == 26.0
     assert time.sleep is genuine
+
+
+def test_a_closed_loop_leaves_no_thread_of_a_mission_that_is_over() -> None:
+    loop = VirtualLoop()
+    turn, over = loop.mission_turn(), []
+
+    def mission() -> None:
+        turn.begin()
+        turn.end()
+        over.append(sum(range(10_000_000)))  # what a busy computer takes to end a thread
+
+    threading.Thread(target=mission).start()
+    loop.call_soon(turn.give)
+    loop.call_soon(loop.call_soon, loop.stop)
+    loop.run_forever()
+    loop.close()
+    assert over
 
 
 def test_other_threads_and_other_times_sleep_as_ever(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -100,6 +100,11 @@ class VirtualLoop(base_events.BaseEventLoop):
         """The turn of a new mission's thread."""
         return MissionTurn(self.turns, self, self._run_until)
 
+    def close(self) -> None:
+        """Close the loop; the threads of missions that are over have ended then."""
+        super().close()
+        self.turns.join()
+
     def call_exception_handler(self, context: dict[str, Any]) -> None:
         """Ends the run with an unhandled failure of a callback, or of a task that nobody awaits.
 

@@ -52,6 +52,7 @@ class ThreadTurns:
         self._failure: BaseException | None = None  # of the loop in a mission's thread
         self._interrupted = False
         self._changing = threading.Lock()
+        self._gone: list[threading.Thread] = []  # noqa: TID251 - that ended, or are about to
 
     def wait_for_own(self) -> None:
         """In the loop's own thread: let the next thread go on; returns when it is this thread's turn again.
@@ -107,8 +108,14 @@ class ThreadTurns:
 
     def leave_for_good(self) -> None:
         """In a mission's thread that ends: let the loop's own thread go on."""
+        self._gone.append(threading.current_thread())
         self.next = self.own
         self._pass_on()
+
+    def join(self) -> None:
+        """In the loop's own thread: return when the threads that left for good have ended."""
+        for gone in self._gone:
+            gone.join()
 
     def fail(self, failure: BaseException) -> None:
         """In a mission's thread that ran the loop: pass the failure to the loop's own thread, which raises it."""
