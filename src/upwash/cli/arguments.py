@@ -167,9 +167,7 @@ def _paths(options: argparse.Namespace) -> Iterator[tuple[str, Path, argparse.Ac
         value = getattr(options, action.dest)
         name = action.option_strings[-1] if action.option_strings else action.metavar or action.dest
         for given in value if isinstance(value, list) else [value]:
-            path = (
-                given[-1] if isinstance(given, list) else given
-            )  # the path of a kind and a path stands last
+            path = given[-1] if isinstance(given, list) else given  # of a kind and a path
             if isinstance(path, Path):
                 yield name, path, action
 

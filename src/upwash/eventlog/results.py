@@ -262,11 +262,10 @@ class Tally:
                 self._waits += [event.wait] if event.wait else []
                 self._fallbacks += event.fell_back
             case schema.AnswerTaken() if (number := self.whereabouts.answered) is not None:
-                hidden_s = (
-                    self._calls[number].delay_s - event.waited_s
-                )  # the mission did not wait for that time
+                call = self._calls[number]
+                hidden_s = call.delay_s - event.waited_s  # which the mission did not wait
                 if hidden_s >= _LEAST_HIDDEN_S:
-                    self._calls[number] = replace(self._calls[number], hidden_s=hidden_s)
+                    self._calls[number] = replace(call, hidden_s=hidden_s)
             case schema.StayOrGo() | schema.TurnedBack():
                 self._went_on += isinstance(event, schema.StayOrGo) and event.goes
                 self._turned_back += isinstance(event, schema.TurnedBack)

@@ -248,14 +248,15 @@ class Estimates:
         Each call counts with the faster of both places; operations are weighted by their calls so far. With a single
         operation this is the thesis's min(Call, Call_s).
         """
-        if not self.is_measured(server) and (known_s := self._mean_call_s.get(server)) is not None:
+        is_alike = not self.is_measured(server)  # at all places
+        if is_alike and (known_s := self._mean_call_s.get(server)) is not None:
             return known_s
         mean_s = 0.0
         for operation, weight in self._weights.items():
             call_s = self.alone_s(operation) or 0.0
             remote_s = self.remote_s(server, operation, at) if server else None
             mean_s += weight * (call_s if remote_s is None else min(call_s, remote_s))
-        if not self.is_measured(server):
+        if is_alike:
             self._mean_call_s[server] = mean_s
         return mean_s
 
