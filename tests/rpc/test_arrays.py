@@ -53,7 +53,7 @@ class Arrays:
 def made() -> Arrays:
     methods, target = spec_of(Arrays).methods, Arrays()
 
-    def invoke(operation: Any, method: Any, request: bytes) -> Any:
+    def invoke(operation: Any, method: Any, request: bytes, _: object) -> Any:
         _, reply = methods[operation.method].perform(target, request)
         return method.decode(reply)
 

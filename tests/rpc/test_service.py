@@ -112,7 +112,7 @@ def perform(target: object, method: Method, request: bytes) -> object:
 def remote(*operations: Operation) -> Eyes:
     """A stub whose calls go over the wire and back within this process, all as one of `operations`, if any."""
 
-    def invoke(operation: Operation, method: Method, request: bytes) -> Any:
+    def invoke(operation: Operation, method: Method, request: bytes, _: object) -> Any:
         key, reply = method.perform(Eyes(), request)
         assert not operations or (operation in operations and operation.key == key)
         return method.decode(reply)

@@ -176,7 +176,7 @@ def counts() -> Counts:
     methods = spec_of(Counts).methods
     return make_stub(
         Counts,
-        lambda operation, method, request: method.decode(
+        lambda operation, method, request, _: method.decode(
             methods[operation.method].perform(Counts(), request)[1]
         ),
     )

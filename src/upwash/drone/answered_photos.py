@@ -50,7 +50,11 @@ class AnsweredPhotos:
 
     def of_call(self, arguments: Iterable[object]) -> NumberedPhoto | None:
         """The photo among a call's arguments, else the last photo."""
-        known = (self._by_hash.get(hash(each)) for each in arguments if isinstance(each, bytes))
+        known = (
+            self._by_hash.get(hash(each if isinstance(each, bytes) else bytes(each)))
+            for each in arguments
+            if isinstance(each, bytes | bytearray | memoryview)
+        )
         return next((photo for photo in known if photo is not None), self._last)
 
     def answered(self, answer: object, photo: NumberedPhoto | None) -> None:

@@ -208,6 +208,8 @@ class Drone:
         answer = ObjectAnswer(self._settling, pending.call, act, wanted=wanted, tell=tell, failed=failed)
         self._settling.take_up(answer)
 
-    def _call(self, operation: Operation, method: Method, request: bytes) -> Any:
+    def _call(
+        self, operation: Operation, method: Method, request: bytes, arguments: tuple[object, ...]
+    ) -> Any:
         self._settling.settle_for_call()
-        return self._calls.call(operation, method, request)
+        return self._calls.call(operation, method, request, arguments)

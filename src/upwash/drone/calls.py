@@ -7,10 +7,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, ParamSpec, TypeVar
 
-import msgspec
-
 from upwash.core.operation import Operation
-from upwash.drone.answered_photos import AnsweredPhotos, NumberedPhoto
+from upwash.drone.answered_photos import AnsweredPhotos
 from upwash.drone.mission import MissionThread
 from upwash.drone.offloading import Offloading
 from upwash.drone.pending import Hearing, OpenCall, Pending
@@ -39,10 +37,12 @@ class MissionCalls:
     # The last one, and others that are not over.
     _started: list[OpenCall] = field(default_factory=list, init=False)
 
-    def call(self, operation: Operation, method: Method, request: bytes) -> Any:
+    def call(
+        self, operation: Operation, method: Method, request: bytes, arguments: tuple[object, ...]
+    ) -> Any:
         """Makes a call and waits for its decoded reply; UsageError while another call is pending."""
         waypoint, run = self._prepared(operation, method, request, urgent=True)
-        photo = self._photo(method, request)
+        photo = self.photos.of_call(arguments)
         self.photos.hand_over(photo)
 
         async def wait() -> Any:
@@ -68,7 +68,7 @@ class MissionCalls:
             journal=self.journal,
             photos=self.photos,
             waypoint=waypoint,
-            photo=self._photo(method, request),
+            photo=self.photos.of_call((*args, *kwargs.values())),
             is_alone=not self._several,
         )
 
@@ -88,12 +88,6 @@ class MissionCalls:
     @property
     def _several(self) -> bool:
         return self.offloading.several
-
-    def _photo(self, method: Method, request: bytes) -> NumberedPhoto | None:
-        try:
-            return self.photos.of_call(method.arguments(request).values())
-        except msgspec.MsgspecError:  # the service refuses them
-            return self.photos.of_call(())
 
     def _prepared(
         self, operation: Operation, method: Method, request: bytes, *, urgent: bool = False

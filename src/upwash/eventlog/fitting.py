@@ -27,11 +27,11 @@ def line_of(event: Event) -> bytes:
     return json_line(line)
 
 
-def fitted(event: Event) -> Sequence[Event]:
-    """The event itself if readers accept it; else a shortened event, if possible, and a `shortened`."""
-    why = _refused(event)
+def fitted(event: Event) -> Sequence[tuple[Event, bytes]]:
+    """The event itself if readers accept it; else a shortened event, if possible, and a `shortened`; as lines too."""
+    line, why = _line(event)
     if not why:
-        return (event,)
+        return ((event, line),)
     notice = schema.Shortened(t=event.t, of=event.kind, why=why)
     for most in (LONGEST_TEXT, MOST_FEW, 30):
         facts = _part(msgspec.to_builtins(event), most=most, depth=_DEEPEST.get(type(event), _FLAT))
@@ -39,19 +39,21 @@ def fitted(event: Event) -> Sequence[Event]:
             part = msgspec.convert(facts, type(event))
         except msgspec.ValidationError:
             continue
-        if not _refused(part):
-            return part, notice
-    return (notice,)
+        line, refused = _line(part)
+        if not refused:
+            return (part, line), (notice, line_of(notice))
+    return ((notice, line_of(notice)),)
 
 
-def _refused(event: Event) -> str:
-    """Why readers would leave the event out; empty if they accept it."""
+def _line(event: Event) -> tuple[bytes, str]:
+    """The event as a line, and why readers would leave it out; "" if they accept it."""
+    line = b""
     try:
         line = line_of(event)
         decode(line)
     except (ValueError, RecursionError) as error:
-        return printable(str(error), _LONGEST_WHY)
-    return "it is too long" if len(line) > LONGEST_LINE_BYTES else ""
+        return line, printable(str(error), _LONGEST_WHY)
+    return line, "it is too long" if len(line) > LONGEST_LINE_BYTES else ""
 
 
 def _part(fact: object, *, most: int | None, depth: int) -> object:

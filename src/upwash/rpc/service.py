@@ -292,7 +292,8 @@ class ServiceSpec:
 Specs: TypeAlias = Mapping[str, ServiceSpec]  # by the services' names
 
 
-Invoke = Callable[[Operation, Method, bytes], Any]  # runs a request somewhere; returns its decoded reply
+# Runs a request, which was made of the arguments, somewhere; returns its decoded reply.
+Invoke = Callable[[Operation, Method, bytes, tuple[object, ...]], Any]
 
 
 @overload
@@ -386,7 +387,8 @@ def make_stub(cls: type[T], invoke: Invoke, patience: Patience | None = None) ->
 def _stub_method(service_name: str, method: Method, invoke: Invoke) -> Callable[..., object]:
     def call(_: object, *args: object, **kwargs: object) -> object:
         key, request = method.encode(args, kwargs)
-        return method.result(invoke(Operation(service_name, method.name, key), method, request))
+        given = (*args, *kwargs.values())
+        return method.result(invoke(Operation(service_name, method.name, key), method, request, given))
 
     call.__name__ = method.name
     setattr(call, _STUB, (service_name, method))

@@ -43,7 +43,7 @@ class MemoryJournal:
             self.arrived()
         if self.meter is not None and isinstance(event, (schema.MissionCompleted, schema.MissionEnded)):
             self.record(self.meter.used())
-        for entry in fitted(msgspec.structs.replace(event, t=round(self._loop.time(), 6))):
+        for entry, _ in fitted(msgspec.structs.replace(event, t=round(self._loop.time(), 6))):
             self.events.append(entry)
 
     async def notify(self, message: object, at: Position, photo: int | None = None) -> None:

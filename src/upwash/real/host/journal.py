@@ -111,9 +111,9 @@ class FileJournal:
 
         A disk that fills up does not end the flight: missing events are written as soon as there is room.
         """
-        for entry in fitted(msgspec.structs.replace(event, t=self._now_s())):
+        for entry, line in fitted(msgspec.structs.replace(event, t=self._now_s())):
             try:
-                self._keep(line_of(entry))
+                self._keep(line)
             finally:
                 self._show(entry)
 
