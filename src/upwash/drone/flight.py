@@ -334,6 +334,7 @@ class Flight:
         await self._set_dead_man(flies=flies)
 
     async def _set_dead_man(self, *, flies: bool) -> None:
+        """Have the vehicle act by itself once this program is silent; a failure ends a flight that has not begun."""
         settings, journal = self._config.autopilot, self._ports.journal
         if settings.dead_man_s is None or settings.on_failure == "hold":  # no file has both
             return

@@ -88,10 +88,11 @@ def fly_with_acts(
     if config.policy.name != LOCAL_ONLY:
         documents[AS_CONFIGURED] = changed(document)
     for each in documents.values():
-        known = with_speed(drone_config(each, file), simulate)[
-            0
-        ].mission  # the drone chooses without the event
-        each["mission"] |= {"speed": known.speed, "ground_speed_m_s": known.ground_speed_m_s}
+        known, _ = with_speed(drone_config(each, file), simulate)  # the drone chooses without the event
+        each["mission"] |= {
+            "speed": known.mission.speed,
+            "ground_speed_m_s": known.mission.ground_speed_m_s,
+        }
         each["event"] = {"probability": share}
     flown_with = predict(documents, file, seeds=act_worlds(config, seeds), fly=fly, flown=flown)
     return WithActs(share=share, source=source, predictions=tuple(flown_with))

@@ -212,8 +212,8 @@ def inlined(
         to_zoom = zoom
     if not kept:
         raise UsageError(
-            "the map has no tile around the flights: it is of another place, the logs have no mission.home, or the "
-            "folder counts its rows from the south, as TMS does (gdal2tiles: give it --xyz)"
+            "the map has no tile around the flights. It is of another place, or the logs have no mission.home, or "
+            "the folder counts its rows from the south. gdal2tiles counts rows from the north with --xyz"
         )
     return Tiles("", found.tiles.credit, first, to_zoom), kept
 
