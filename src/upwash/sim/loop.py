@@ -106,7 +106,7 @@ class VirtualLoop(base_events.BaseEventLoop):
         self.turns.join()
 
     def call_exception_handler(self, context: dict[str, Any]) -> None:
-        """Ends the run with an unhandled failure of a callback, or of a task that nobody awaits.
+        """Ends the run with the unhandled failure of a callback or of a task.
 
         An UpwashError is ignored, as work may end with it.
         """

@@ -34,7 +34,7 @@ _CHUNKS_OF_A_THREAD = 4  # of a cluster, handed out before they are needed
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Some runs of one combination, which one process flies in turn; `bounded` if their bounds are wanted."""
+    """Some runs of one combination: one process flies them in turn, and computes their bounds if `bounded`."""
 
     file: str
     values: tuple[str, ...]
