@@ -74,7 +74,7 @@ def test_a_model_and_a_film_give_findings_with_ten_lines_and_no_code(tmp_path: P
     export_model(tmp_path / "best.onnx")
     write_film(tmp_path / "film.mp4")
     commands = "".join(re.findall(r'```sh title="terminal 2"\n(.*?)```', PAGE, re.DOTALL))
-    with stand_in(tmp_path, speedup=10) as connection:
+    with stand_in(tmp_path) as connection:
         for command in commands.replace("udpout:127.0.0.1:14550", connection).splitlines():
             done = upwash(*shlex.split(command)[1:], folder=tmp_path)
             assert done.returncode == 0, done.stdout + done.stderr

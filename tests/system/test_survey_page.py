@@ -64,7 +64,7 @@ def test_a_plan_a_network_and_a_camera_end_as_a_document(desk: Path) -> None:
     commands = [block.text for block in blocks(PAGE) if block.title == "drone"]
     with (
         running("serve", "--config", "server.toml", folder=server) as daemon,
-        stand_in(drone, "--home", "39.3666,22.9507", speedup=10) as connection,
+        stand_in(drone, "--home", "39.3666,22.9507") as connection,
     ):
         assert daemon.stdout is not None
         assert any(" ready at " in line for line in daemon.stdout)

@@ -373,6 +373,15 @@ async def test_it_tells_its_home_and_the_time_of_day(client: Client) -> None:
     assert told_s == pytest.approx(time.time() + 3_600, abs=60.0)
 
 
+@played(talk, replace(BOOTING, clock_offset_s=0.0, speedup=100.0))
+async def test_a_vehicle_that_lives_faster_tells_the_computers_time_of_day(client: Client) -> None:
+    await client.until(lambda: client.all("HOME_POSITION"))
+    await asyncio.sleep(10.0)  # 1,000 of its own
+    assert await client.long(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_SYSTEM_TIME) == 0
+    told_s = client.all("SYSTEM_TIME")[-1].time_unix_usec / 1e6
+    assert told_s == pytest.approx(time.time(), abs=60.0)
+
+
 def test_the_ground_stations_silence_is_noticed_not_a_companions() -> None:
     def beat(system: int) -> bytes:
         codec = mavlink.MAVLink(None, srcSystem=system, srcComponent=190)

@@ -54,7 +54,8 @@ class Copter(CopterFlight):
         self._failsafes = Failsafes(
             glitch_m=settings.glitch_m, glitch_cleared_s=settings.glitch_cleared_after_s
         )
-        self._booted_unix_s = time.time() + (settings.clock_offset_s or 0.0)
+        # Of this computer's clock, however fast the vehicle lives: a drone that takes it for true sets its own clock.
+        self._unix_ahead_s = time.time() - time.monotonic() + (settings.clock_offset_s or 0.0)
         self._was_armed = False
         self._aligned_in_flight = False
         self._is_up = False  # its take-off has ended
@@ -80,7 +81,7 @@ class Copter(CopterFlight):
     def unix_s(self, now_s: float) -> float:
         """The time of day that its receiver tells, in seconds since 1970; 0 while it tells none."""
         tells = self.settings.clock_offset_s is not None and self.has_fix(now_s)
-        return self._booted_unix_s + self.uptime_s(now_s) if tells else 0.0
+        return time.monotonic() + self._unix_ahead_s if tells else 0.0
 
     def has_origin(self, now_s: float) -> bool:
         """Whether it has an origin to tell positions from."""

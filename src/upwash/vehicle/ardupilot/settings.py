@@ -51,9 +51,7 @@ class VehicleSettings(StandInSettings):
     return_speed_m_s: float = 10.0
     return_altitude_m: float = 15.0
     auto_disarm_s: float = 2.0
-    clock_offset_s: float | None = (
-        0.0  # of its GPS's time of day, against this machine's; None: it tells none
-    )
+    clock_offset_s: float | None = 0.0  # of its GPS's time from this computer's; None: it tells no time
     glitch_m: float = GLITCH_M  # north, the error of GPS in a glitch
     glitch_cleared_after_s: float = GLITCH_CLEARED_S  # the glitch counts as over then, though it lasts
 
