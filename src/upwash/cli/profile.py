@@ -201,7 +201,7 @@ def _settings(service: LoadedService, *, but: str | None = None) -> str:
         return ""
     if given := [name for name in names if name in service.program.settings]:
         return f"With the configured settings: {', '.join(given)}."
-    return f"With the defaults of its settings ({', '.join(names)}): --config FILE takes those of a configuration."
+    return f"With the defaults of its settings ({', '.join(names)}): a file of --config may have others."
 
 
 def _watched(

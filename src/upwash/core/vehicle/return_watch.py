@@ -32,7 +32,7 @@ class ReturnWatch:
         self._way = way
         self._rest_s = min(way.hover_s, LONGEST_WAIT_S) if known else LONGEST_WAIT_S
         self._here = self._rests_at = start
-        self._now_s = self._rests_since_s = now_s
+        self._now_s = self._rests_since_s = self._above_s = now_s
         self._highest_m = -math.inf  # at the place
         self._nearest_m, self._level_m = math.inf, start.altitude_m
         self._nearer_s = now_s
@@ -45,6 +45,8 @@ class ReturnWatch:
             self._rests_at, self._rests_since_s = position, now_s
         if self._is_at_place:
             self._highest_m = max(self._highest_m, position.altitude_m)
+        if not self._has_sunk:
+            self._above_s = now_s
         nearer = self._is_at_place or self.away_m <= self._nearest_m - _NEARER_M
         if nearer or abs(position.altitude_m - self._level_m) >= _NEARER_M:
             self._nearest_m = min(self._nearest_m, self.away_m)
@@ -59,7 +61,8 @@ class ReturnWatch:
     def hovers(self) -> bool:
         """Whether it rests at the end of its return for longer than on its way down."""
         patience_s = _HURRIED_S if self.hurries else self._allowed_s() + HOVER_SEEN_S
-        return self._is_at_place and self._now_s - self._rests_since_s >= patience_s
+        since_s = max(self._rests_since_s, self._above_s) if self._has_sunk else self._rests_since_s
+        return self._is_at_place and self._now_s - since_s >= patience_s
 
     @property
     def no_nearer_s(self) -> float:
@@ -75,4 +78,9 @@ class ReturnWatch:
         way, altitude_m = self._way, self._here.altitude_m
         if way.waits_s and abs(altitude_m - way.low_m) <= _RESTS_M:
             return 0.0 if math.isinf(way.waits_s) else min(way.waits_s, LONGEST_WAIT_S)
-        return 0.0 if altitude_m < self._highest_m - _SUNK_M else self._rest_s
+        return 0.0 if self._has_sunk else self._rest_s
+
+    @property
+    def _has_sunk(self) -> bool:
+        """Whether its rest above the end is over."""
+        return self._here.altitude_m < self._highest_m - _SUNK_M
