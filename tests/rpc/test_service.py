@@ -727,3 +727,10 @@ def test_a_profile_key_that_is_no_argument_is_refused_with_those_that_are() -> N
 def test_a_name_in_place_of_the_class_is_refused_with_the_way_to_write_it() -> None:
     with pytest.raises(DeclarationError, match=r"or @service\(name='camera'\)"):
         service("camera")  # type: ignore[call-overload]
+
+
+def test_a_function_is_no_service_and_the_error_says_what_to_do() -> None:
+    with pytest.raises(DeclarationError, match=r"above the function flown: make it a method of a class"):
+
+        @service  # type: ignore[call-overload]
+        def flown() -> None: ...

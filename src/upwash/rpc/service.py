@@ -331,6 +331,10 @@ def service(
     attributes that are no plain methods and no data, and for a part that does not fit.
     """
 
+    if inspect.isroutine(declared):
+        raise DeclarationError(
+            f"@service is above the function {declared.__name__}: make it a method of a class"
+        )
     if declared is not None and not isinstance(declared, type):
         raise DeclarationError(
             f"@service({declared!r}): write @service above the class, or @service(name={declared!r})"
