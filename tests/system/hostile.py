@@ -27,6 +27,7 @@ import grpc
 from bench.results import leave
 from tests.system.daemons import ROOT, Daemon, Guest, channel, config, daemon, guests, memory_bytes, shown
 
+from upwash.errors import Unreachable
 from upwash.real.trust.authority import keys_in, make_keys, revoke
 from upwash.rpc.protocol import AVAILABILITY, service_path
 
@@ -388,6 +389,17 @@ class Peak:
         return most
 
 
+async def _is_welcome(newcomer: Guest) -> bool:
+    """Whether a drone that comes now can use the service; as drones do, it asks again after silence.
+
+    The attack's own handshakes can keep a computer with other work busy for longer than one question waits.
+    """
+    for _ in range(3):
+        with contextlib.suppress(Unreachable):
+            return (await newcomer.availability("workbench")).available
+    return False
+
+
 async def attacked(at: Daemon, keys: Path, services: Path, name: str, *, calls: int) -> Attacked:
     """Has an honest drone call before and during the attack of that name; raises where a call is not answered."""
     believed = shown(keys, "heron")
@@ -403,7 +415,7 @@ async def attacked(at: Daemon, keys: Path, services: Path, name: str, *, calls: 
         try:
             attacked_s = await _served(heron, endpoint, 2 * calls)
             async with guests(at, services, ("heron", believed, "s1")) as (newcomer,):
-                assert (await newcomer.availability("workbench")).available
+                assert await _is_welcome(newcomer)
         finally:
             await asyncio.to_thread(attacking.__exit__, None, None, None)
         usual_s += await _served(
