@@ -114,6 +114,7 @@ def test_a_call_is_about_the_photo_that_it_has_and_not_the_last_one() -> None:
     for jpeg in (b"first", b"second", b"third"):
         photos.take(jpeg, None)
     photo = photos.of_call(["heavy", b"second"])
+    assert photos.of_call([bytearray(b"second")]) is photo is photos.of_call([memoryview(b"second")])
     assert photo is not None and photo.number == 1
     photos.answered(found, photo)
     assert [photos.number_of(told) for told in (found, BOX, [BOX], {"a": (BOX,)}, "text")] == [
